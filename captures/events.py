@@ -38,7 +38,9 @@ class Events:
     @classmethod
     def of(cls, events: Sequence[Chunk | Line]) -> Events:
         """The rows of single events. Raises OverflowError for a time beyond 64 bits."""
-        side = [LINE if isinstance(one, Line) else SIDES.index(one.direction) for one in events]
+        side = [
+            LINE if isinstance(event, Line) else SIDES.index(event.direction) for event in events
+        ]
         chunks = [b"" if isinstance(event, Line) else event.data for event in events]
         return cls(
             t=np.array([event.t for event in events], np.int64),

@@ -284,7 +284,7 @@ class Capture:
     ) -> Iterator[Messages]:
         """Yield the messages of a file, and count how much of it was passed."""
         from bilprov.captures.storage.blocks import blocks_of
-        from bilprov.captures.storage.contents import ordered, pieces
+        from bilprov.captures.storage.contents import pieces, put_in_order
         from bilprov.captures.storage.survey import Survey
 
         if self.surveys is None:
@@ -293,7 +293,7 @@ class Capture:
             self.surveys.append(Survey(file, contents.size))
             blocks = self.surveys[-1].blocks()
         before = 0
-        for block in ordered(blocks, contents, order):
+        for block in put_in_order(blocks, contents, order):
             if self.surveys and self.surveys[-1].notes:  # `whole` is None then
                 return
             self.walked[0] += file.tell() - before
@@ -438,11 +438,16 @@ def open_verified(path: str | Path) -> Capture:
     In the first case nothing is damaged, and the sizes by topic are not known.
     """
     capture = open_indexed(path)
-    for volume in capture.volumes if capture else ():
+    return capture if capture and _is_unchanged(capture) else open_capture(path)
+
+
+def _is_unchanged(capture: Capture) -> bool:
+    """Whether the checksums over all data of a capture's files are right."""
+    for volume in capture.volumes:
         with _opened(volume.path) as file:
             if not (volume.contents.index and volume.contents.index.covers(file)):
-                return open_capture(path)
-    return capture or open_capture(path)
+                return False
+    return True
 
 
 def _indexed(path: Path) -> Contents | None:

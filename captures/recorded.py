@@ -7,6 +7,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from bilprov.captures import topics
 from bilprov.captures.events import DEVICE, HOST, LINE, Events
@@ -82,14 +83,12 @@ def _values(
     codes = np.full(1 << 16, _OTHER, np.uint8)
     for channel, topic in names.items():
         codes[channel] = _SIDES.get(topic, LINE if topic in wanted else _OTHER)
-    most = (1 << 64) - 1
-    limits = np.array([start - LONGEST, start + LONGEST], object).clip(0, most).astype(np.uint64)
     for block in blocks:
         if block.lost:
             yield Line(since(start, int(block.log_time[0])), "gap", "", block.lost)
         sides = codes[block.channel]
         raw = np.flatnonzero(sides <= DEVICE)
-        t = (block.log_time.clip(*limits) - np.uint64(start)).view(np.int64)
+        t = _times_since(start, block.log_time)
         sizes = (block.end - block.start)[raw]
         chunks = Events(t[raw], sides[raw], sizes, block.data(raw))
         others = np.flatnonzero(sides == LINE)
@@ -118,3 +117,9 @@ def _safe(value: Recorded | Events) -> Recorded | Events:
         elif held.__class__ is int:
             changed[name] = min(max(held, -LONGEST), LONGEST)
     return replace(value, **changed)
+
+
+def _times_since(start: int, log_times: NDArray[np.uint64]) -> NDArray[np.int64]:
+    most = (1 << 64) - 1
+    limits = np.array([start - LONGEST, start + LONGEST], object).clip(0, most).astype(np.uint64)
+    return (log_times.clip(*limits) - np.uint64(start)).view(np.int64)

@@ -194,7 +194,9 @@ class Look(Timed, frozen=True):
 
     if TYPE_CHECKING:
 
-        def __init__(self, t: int, moving: bool | None = None, *told: Any, **more: Any) -> None: ...
+        def __init__(
+            self, t: int, moving: bool | None = None, *told: Any, **named: Any
+        ) -> None: ...
         def __getattr__(self, name: str) -> Any: ...
 
 

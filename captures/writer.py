@@ -81,15 +81,7 @@ class CaptureWriter(Closing):
                 raise ValueError(
                     f"metadata {printable(name)} is longer than the {STRING_BYTES} bytes allowed"
                 )
-        require_new(path)
-        try:
-            self._file = path.open("xb")
-        except (OSError, ValueError) as error:
-            why = error.strerror if isinstance(error, OSError) else error
-            raise CaptureError(
-                f"{printable(path)} cannot be made ({printable(why)}): choose a "
-                "folder that can be written to"
-            ) from error
+        self._file = _new_file(path)
         self.size = 0
         """How many bytes of the file have been written, in complete chunks."""
         self._chunk_messages = self._chunk_bytes = 0
@@ -311,6 +303,18 @@ class CaptureWriter(Closing):
 def _utf8(text: str) -> str:
     # A port's path may hold bytes that are no UTF-8, which Python carries as lone surrogates.
     return text.encode("utf-8", "backslashreplace").decode()
+
+
+def _new_file(path: Path) -> BufferedWriter:
+    require_new(path)
+    try:
+        return path.open("xb")
+    except (OSError, ValueError) as error:
+        why = error.strerror if isinstance(error, OSError) else error
+        raise CaptureError(
+            f"{printable(path)} cannot be made ({printable(why)}): choose a "
+            "folder that can be written to"
+        ) from error
 
 
 class _ChunkedFile:

@@ -327,7 +327,7 @@ def build(protocol: Protocol, name: str, fields: Mapping[str, Any] | None = None
             f"there is no instruction {name!r}; there are "
             f"{', '.join(s.name for s in protocol.instructions)}"
         )
-    given = _by_fields(protocol, spec, given)
+    given = _by_register(protocol, spec, given)
     data = b"".join(
         part.constant if part.constant is not None else _built(spec.name, part, given)
         for part in spec.fields
@@ -341,7 +341,9 @@ def build(protocol: Protocol, name: str, fields: Mapping[str, Any] | None = None
     _require_counted(spec, data)
     parts = {part.name: _built_part(spec.name, part, given) for part in free_parts(protocol)}
     if given:
-        takes = ", ".join([*parts, *(one.name for one in spec.fields if one.name)]) or "no fields"
+        takes = (
+            ", ".join([*parts, *(part.name for part in spec.fields if part.name)]) or "no fields"
+        )
         raise ValueError(f"{spec.name} has no field {', '.join(given)}; it takes {takes}")
     length = protocol.layout.part("length")
     if length and len(data) > length.most:
@@ -365,7 +367,9 @@ def _require_counted(spec: InstructionSpec, data: bytes) -> None:
         )
 
 
-def _by_fields(protocol: Protocol, spec: InstructionSpec, given: dict[str, Any]) -> dict[str, Any]:
+def _by_register(
+    protocol: Protocol, spec: InstructionSpec, given: dict[str, Any]
+) -> dict[str, Any]:
     """The values with the fields of the instruction instead of names of registers."""
     memory = spec.writes or spec.reads
     cells = protocol.registers.get(memory.name) if memory else None

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeAlias
 
 import construct
 import msgspec
-from construct import Construct, Container
+from construct import Construct
 
 from bilprov.spec.errors import WrongValue, one_line, require, require_word
 from bilprov.spec.fields import Ranged, Reports
@@ -309,9 +309,11 @@ class DataSpec(msgspec.Struct, frozen=True):
         return data[part.offset : None if last else part.offset + part.size]
 
 
-def context_of(values: Mapping[str, Any], asked: Mapping[str, Any]) -> Container:
+def context_of(values: Mapping[str, Any], asked: Mapping[str, Any]) -> construct.Container:
     """What expressions like `this.size` and `asked.size` look into."""
-    return Container(values, _params=Container(asked=Container(asked)))
+    return construct.Container(
+        values, _params=construct.Container(asked=construct.Container(asked))
+    )
 
 
 def unwrapped(declared: Construct) -> Construct:

@@ -339,7 +339,7 @@ def _part_groups(
     """The group of a part; of constant bytes each is one."""
     raw = frame[at : at + part.size]
     if part.constant:
-        yield from _fixed_bytes(frame, at, part)
+        yield from _fixed_bytes(frame, at, part.constant, part)
     elif part.width:
         yield _bits(frame, at, part.size, part.shift, part.width, part.name, *meaning(part, raw))
     else:
@@ -347,9 +347,11 @@ def _part_groups(
         yield _group(frame, at, part.size, part.name, *meaning(part, raw), value)
 
 
-def _fixed_bytes(frame: bytes, at: int, part: Part | FieldSpec) -> Iterator[BitGroup]:
+def _fixed_bytes(
+    frame: bytes, at: int, constant: bytes, part: Part | FieldSpec
+) -> Iterator[BitGroup]:
     """A group for each byte of a constant."""
-    for place, right in enumerate(part.constant or b"", at):
+    for place, right in enumerate(constant, at):
         wrong = frame[place] != right
         meaning = f"must be {right:02x}" if wrong else part.prose or "fixed"
         yield _group(frame, place, 1, part.name, meaning, wrong)
@@ -429,7 +431,7 @@ def _data_groups(one: Judgement | Reply, data: DataSpec) -> Iterator[BitGroup]:
 def _field_groups(one: Judgement | Reply, spec: FieldSpec, value: Any) -> Iterator[BitGroup]:
     frame, at, many, bits = one.frame, one.head + spec.offset, spec.many, spec.bits
     if spec.constant is not None:
-        yield from _fixed_bytes(frame, at, spec)
+        yield from _fixed_bytes(frame, at, spec.constant, spec)
     elif many:
         if many.prefix:
             size = many.prefix.size

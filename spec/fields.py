@@ -324,8 +324,9 @@ class Same(construct.Subconstruct):  # type: ignore[misc]  # construct ships no 
 
     def _repeated(self, context: Any) -> int:
         value = context._params.asked[self.part] + self.plus
-        # Bits of what the type counts.
-        width = 1 if isinstance(self.subcon, construct.BitsInteger) else 8
+        width = (
+            1 if isinstance(self.subcon, construct.BitsInteger) else 8
+        )  # of what the type counts
         return int(value % (1 << width * self.subcon.sizeof()))
 
 

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 
 import construct
 import msgspec
-from construct import Construct, FixedSized, Switch
+from construct import Construct
 from msgspec.structs import replace
 
 from bilprov.spec.checks import CheckFunction
@@ -376,7 +376,9 @@ def _members(
             found += _members(what, inner, spans, at)
         elif type(inner) is _BITS:
             found += _bits(what, unwrapped(inner.subcon).subcons)
-        elif member.name == "data" or isinstance(inner, Data | Switch | FixedSized):
+        elif member.name == "data" or isinstance(
+            inner, Data | construct.Switch | construct.FixedSized
+        ):
             found.append((None, inner))
         else:
             found.append((_part(what, member), inner))
@@ -390,15 +392,15 @@ def _require_paths(what: str, declared: Construct, before: Sequence[Part]) -> No
     """Raise WrongValue unless data are as long as the part before tells, and those of its ID."""
     roles = [part.role for part in before if part.role != "length" or not part.width]
     paths = []
-    if isinstance(declared, FixedSized):
+    if isinstance(declared, construct.FixedSized):
         paths.append(("FixedSized", declared.length, "length"))
         declared = unwrapped(declared.subcon)
-    elif isinstance(declared, Switch) and "length" in roles:
+    elif isinstance(declared, construct.Switch) and "length" in roles:
         raise WrongValue(
             f"the data of {what} must be written FixedSized(this.length, ...), since {what} has a "
             "length"
         )
-    if isinstance(declared, Switch) and "id" in roles:
+    if isinstance(declared, construct.Switch) and "id" in roles:
         paths.append(("Switch", declared.keyfunc, "id"))
     for word, expression, name in paths:
         path = re.sub(r"\['(\w+)'\]", r".\1", repr(expression))

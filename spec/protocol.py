@@ -11,7 +11,7 @@ import hashlib
 import re
 import warnings
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 from typing import Annotated, Any
 
@@ -761,11 +761,13 @@ def _variables(
     return found
 
 
-def _require_variable(where: str, names: Iterable[str], known: Collection[str]) -> None:
+def _require_variable(
+    where: str, names: Iterable[str], variables: Mapping[str, VariableSpec]
+) -> None:
     for name in names:
-        if name not in known:
+        if name not in variables:
             raise GrammarError(
-                f"{where} names the variable {shown(name)}, allowed are {', '.join(known)}"
+                f"{where} names the variable {shown(name)}, allowed are {', '.join(variables)}"
             )
 
 
@@ -882,10 +884,12 @@ def _require_each_outcome(declared: _Grammar, protocol: Protocol) -> None:
         _require_each_name_once("two responses stand for", (one.value for one in answered))
 
 
-def _require_codes(specs: Iterable[InstructionSpec], responses: Iterable[ResponseSpec]) -> None:
+def _require_codes(
+    instructions: tuple[InstructionSpec, ...], responses: tuple[ResponseSpec, ...]
+) -> None:
     """Raise GrammarError for a field or a memory whose code is the name of no Answer."""
     names = ["", *(spec.name for spec in responses)]
-    for spec in specs:
+    for spec in instructions:
         codes = [(f"{spec.name}.{part.name}", part.code) for part in spec.fields]
         codes += [(f"the Memory that {spec.name} writes", spec.writes.code)] if spec.writes else []
         for where, code in codes:
@@ -896,23 +900,25 @@ def _require_codes(specs: Iterable[InstructionSpec], responses: Iterable[Respons
                 )
 
 
-def _instruction(declared: _Grammar, number: int, layout: Layout, reply: Layout) -> InstructionSpec:
+def _instruction(
+    declared: _Grammar, identity: int, layout: Layout, reply: Layout
+) -> InstructionSpec:
     """Read an instruction; its effect and its memory are still open."""
-    declaration = declared.INSTRUCTIONS[number]
+    declaration = declared.INSTRUCTIONS[identity]
     body, name, prose = unwrapped(declaration), declaration.name, prose_of(declaration)
     part = layout.part("id")
     if part is None:
         raise GrammarError("FRAME has no part named id, by which a frame names its instruction")
-    if not 0 <= number <= part.most:
+    if not 0 <= identity <= part.most:
         raise GrammarError(
-            f"the header cannot carry the ID {number} of {shown(name)}, allowed are 0 to "
+            f"the header cannot carry the ID {identity} of {shown(name)}, allowed are 0 to "
             f"{part.most}"
         )
     if not isinstance(body, Instruction) or not name:
         raise GrammarError(
-            f'instruction {number} of INSTRUCTIONS must be written "Name" / Instruction(...)'
+            f'instruction {identity} of INSTRUCTIONS must be written "Name" / Instruction(...)'
         )
-    require_word(f"the name of instruction {number}", name)
+    require_word(f"the name of instruction {identity}", name)
     require(f"the prose of {name}", prose, str)
     announced = layout.part("length")
     data = read_data(name, body.subcons, framed=announced is not None)
@@ -943,7 +949,7 @@ def _instruction(declared: _Grammar, number: int, layout: Layout, reply: Layout)
             asked=[*layout.told, *data.numbers],
         )
     return InstructionSpec(
-        id=number,
+        id=identity,
         name=name,
         document=body.document,
         prose=prose,
@@ -955,7 +961,9 @@ def _instruction(declared: _Grammar, number: int, layout: Layout, reply: Layout)
     )
 
 
-def _require_memory(instructions: Sequence[InstructionSpec], declared: Iterable[Memory]) -> None:
+def _require_memory(
+    instructions: tuple[InstructionSpec, ...], declared: tuple[Memory, ...]
+) -> None:
     """Raise GrammarError for a memory that no instruction uses, or that is not as it says."""
     names = {"", *(spec.name for spec in instructions)}
     for memory in declared:
@@ -1003,9 +1011,11 @@ def _registers(
         found[memory] = {place: read_register(memory, cells[place]) for place in sorted(cells)}
         _require_in_cells(memory, found[memory], instructions)
     data = [one for spec in instructions for one in (spec, spec.answer) if one]
-    taken = {part.name.lower() for one in data for part in one.fields}
+    fields = {part.name.lower() for one in data for part in one.fields}
     names = (one.name for cells in found.values() for one in cells.values())
-    _require_each_name_once("two registers, or a field and a register, are named", (*taken, *names))
+    _require_each_name_once(
+        "two registers, or a field and a register, are named", (*fields, *names)
+    )
     return found
 
 

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, NamedTuple
 import msgspec
 
 from bilprov.spec.codec import Judgement, Registers, data_bytes, field_words, registers_in
-from bilprov.spec.data import DataSpec, FieldSpec, Values
+from bilprov.spec.data import DataSpec, FieldSpec
 from bilprov.spec.fields import Outcome, codes_in
 from bilprov.spec.layout import Layout
 from bilprov.spec.protocol import NO_ANSWER, PLAIN_ANSWER, InstructionSpec, Protocol, ResponseSpec
@@ -207,17 +207,16 @@ def build_reply(
     response = response or asked.response
     if response is NO_ANSWER:
         return b""
-    way, *errors = _ways(protocol, asked, b"")
-    error = Outcome.VALID not in response.outcomes
-    if error:
-        way = next((one for one in errors if one.layout.part("code") is not None), way)
+    way = _way_of(protocol, asked, response)
     values = values or {}
     parts = asked_values(protocol, asked)
     data = b""
-    lacking = error and way.layout.part("length") is not None
+    lacking = Outcome.VALID not in response.outcomes and way.layout.part("length") is not None
     if way.layout.has_data and way.data is not None and not lacking:
         data = _filled(way.data, parts, values)
-    told = {one.name: one.repeating(parts.get(one.same, 0)) for one in way.layout.parts if one.same}
+    told = {
+        part.name: part.repeating(parts.get(part.same, 0)) for part in way.layout.parts if part.same
+    }
     if response.code >= 0:
         told |= {part.name: response.code for part in way.layout.parts if part.role == "code"}
     return way.layout.build(told, data, covered(protocol, asked))
@@ -299,6 +298,15 @@ def repeated_id(protocol: Protocol, held: bytes) -> InstructionSpec | None:
     return None if counted and counted.how == "expression" else spec
 
 
+def _way_of(protocol: Protocol, asked: Judgement, response: ResponseSpec) -> Way:
+    """The way in which a response is given: errors in a layout of their own, if there is one."""
+    ways = _ways(protocol, asked, b"")
+    valid = Outcome.VALID in response.outcomes
+    if valid or (ways[0].layout.part("code") is not None and not protocol.errors):
+        return ways[0]
+    return next((way for way in ways[1:] if way.layout.part("code") is not None), ways[0])
+
+
 def _size(
     protocol: Protocol, way: Way, held: bytes, asked: Judgement | None, values: Mapping[str, Any]
 ) -> int | None:
@@ -364,7 +372,9 @@ def _filled(data: DataSpec, asked: Mapping[str, Any], values: Mapping[str, Any])
     return built
 
 
-def _repeated(data: DataSpec, part: FieldSpec, before: bytes, asked: Values) -> bytes | None:
+def _repeated(
+    data: DataSpec, part: FieldSpec, before: bytes, asked: Mapping[str, Any]
+) -> bytes | None:
     """The field with the value of the request's field of that name; None where it does not fit."""
     value = asked.get(part.name)
     if value is None or (part.many is None) is not isinstance(value, int):

@@ -358,9 +358,11 @@ def state_class(
 
 
 @lru_cache(maxsize=64)
-def _class(specs: tuple[VariableSpec, ...], at_rest: Condition | None, wheels: Any) -> type[State]:
+def _class(
+    variables: tuple[VariableSpec, ...], at_rest: Condition | None, wheels: Any
+) -> type[State]:
     kinds: list[tuple[str, Any]] = []
-    for spec in specs:
+    for spec in variables:
         kind = str if spec.words else int
         kinds.append((spec.name, kind | None if spec.unknown else kind))
     if at_rest is not None:
@@ -372,10 +374,10 @@ def _class(specs: tuple[VariableSpec, ...], at_rest: Condition | None, wheels: A
         bases=(State,),
         namespace={
             "__doc__": f"{what} that the instructions so far predict (topic `/state`).",
-            "made_of": (specs, at_rest, wheels),
-            "variables": tuple(spec.name for spec in specs),
-            "words": {spec.name: spec.words for spec in specs if spec.words},
-            "signed": frozenset(spec.name for spec in specs if spec.low < 0),
+            "made_of": (variables, at_rest, wheels),
+            "variables": tuple(spec.name for spec in variables),
+            "words": {spec.name: spec.words for spec in variables if spec.words},
+            "signed": frozenset(spec.name for spec in variables if spec.low < 0),
             "at_rest": at_rest,
             "wheels": wheels,
         },

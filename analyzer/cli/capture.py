@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
-from bilprov.analyzer.cli import command_files as files
+from bilprov.analyzer.cli import command_files
 from bilprov.analyzer.cli import options as shared
 from bilprov.analyzer.cli.command import argument, command, flag, group, option, protocol_in_use
 from bilprov.captures.text import printable, quantity
@@ -77,7 +77,7 @@ class CutOptions(msgspec.Struct, frozen=True):
     new: Path = argument(metavar="OUT.mcap", type=click.Path(path_type=Path))
     span: shared.WindowOptions = group(shared.WindowOptions)
     expression: str | None = shared.filter_option()
-    force: bool = files.force_option()
+    force: bool = command_files.force_option()
 
 
 @command(CutOptions)
@@ -105,7 +105,7 @@ def cut(options: CutOptions) -> None:
     if not window.bounded and options.expression is None:
         raise click.UsageError("name what OUT is to hold: --start, --end, --filter or some of them")
     found = open_quickly(options.path)
-    protocol = files.protocol_of(found, copied=True)
+    protocol = command_files.protocol_of(found, copied=True)
     test = shared.compiled(options.expression, protocol)
     opened = opened_at(found, protocol, window.first or 0)
     capture = opened.capture
@@ -127,7 +127,7 @@ class CopyOptions(msgspec.Struct, frozen=True):
 
     path: Path = argument(metavar="IN.mcap", type=click.Path(path_type=Path))
     new: Path = argument(metavar="OUT.mcap", type=click.Path(path_type=Path))
-    force: bool = files.force_option()
+    force: bool = command_files.force_option()
 
 
 @command(CopyOptions)
@@ -160,7 +160,7 @@ class JoinOptions(msgspec.Struct, frozen=True):
         type=click.Path(path_type=Path),
         help="The new capture.",
     )
-    force: bool = files.force_option()
+    force: bool = command_files.force_option()
 
 
 @command(JoinOptions)
@@ -181,7 +181,7 @@ def join(options: JoinOptions) -> None:
 
     if len(options.paths) < 2:
         raise click.UsageError("name two captures or more to join")
-    captures, protocol = files.opened_captures(options.paths, copied=True)
+    captures, protocol = command_files.opened_captures(options.paths, copied=True)
     joined = Joined(protocol, captures)
     inputs_in_order = [source.capture for source in joined.sources]
     with _copying(options, inputs_in_order, joined.metadata(), protocol) as copy:
@@ -223,8 +223,8 @@ class DiffOptions(msgspec.Struct, frozen=True):
         help="By how many milliseconds the latencies of a frame may differ: an adapter alone may "
         "delay an answer by 16.",
     )
-    output: str | None = files.json_option()
-    force: bool = files.force_option()
+    output: str | None = command_files.json_option()
+    force: bool = command_files.force_option()
 
 
 @command(DiffOptions, only_with={"output": ("force",)})
@@ -247,13 +247,15 @@ def diff(options: DiffOptions) -> int:
 
     promise_verdict()
     output, paths = options.output, (options.first, options.second)
-    files.require_writable([("--json", output)], paths, force=options.force)
-    captures, protocol = files.opened_captures(paths)
-    with files.reading(captures) as progress:
+    command_files.require_writable([("--json", output)], paths, force=options.force)
+    captures, protocol = command_files.opened_captures(paths)
+    with command_files.reading(captures) as progress:
         comparison = compared(captures, protocol, progress, round(options.tolerance * 1e6))
     if output is not None:
-        files.write_output(output, files.json_object(as_json(comparison, protocol, paths)))
-    if output != files.STANDARD_OUTPUT:
+        command_files.write_output(
+            output, command_files.json_object(as_json(comparison, protocol, paths))
+        )
+    if output != command_files.STANDARD_OUTPUT:
         show(*drawn(comparison, paths))
     return comparison.exit
 
@@ -270,7 +272,7 @@ def _copied(
     from bilprov.analyzer.output.outputs import Window
     from bilprov.analyzer.replay.capture_decoding import opened_whole
 
-    (capture,), protocol = files.opened_captures(
+    (capture,), protocol = command_files.opened_captures(
         [options.path], copied=True, half_duplex=half_duplex
     )
     # To write each frame takes long, however few bytes there are.
@@ -297,13 +299,15 @@ def _copying(
     from bilprov.captures.topics import TOPICS
 
     inputs = [str(capture.path) for capture in captures]
-    files.require_writable([("OUT", str(options.new))], inputs, force=options.force, regular=True)
+    command_files.require_writable(
+        [("OUT", str(options.new))], inputs, force=options.force, regular=True
+    )
     known = {topic.name for topic in TOPICS}
     for capture in captures:
         if others := [topic for topic in capture.contents.counts if topic not in known]:
             shared.note(f"left out, since they are not bilprov's topics: {', '.join(others)}")
     with (
-        files.reading(captures, **shown) as progress,
+        command_files.reading(captures, **shown) as progress,
         new_capture(
             options.new, captures, metadata, protocol, progress, force=options.force
         ) as copy,

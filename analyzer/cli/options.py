@@ -33,7 +33,9 @@ class Finite(click.FloatRange):
     That many seconds still fit into a capture. It leaves out nan, which click's own lets pass.
     """
 
-    def convert(self, value: Any, param: Any, ctx: Any) -> float:
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
         """The number of an option's value."""
         number: float = super().convert(value, param, ctx)
         if not abs(number) <= 1e10:

@@ -14,7 +14,7 @@ from bilprov.analyzer.cli.command_files import protocol_of, split
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.decode.records import FaultRecord, HostRecord, Record
 from bilprov.analyzer.decode.session import BOTH
-from bilprov.analyzer.output.outputs import Output, Shown, opened_output
+from bilprov.analyzer.output.outputs import Shown, opened_output
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay import capture_decoding as decoding
 from bilprov.analyzer.transport.signals import Stopper
@@ -197,20 +197,22 @@ class _Replay:
 
     def play(self, pipeline: Pipeline, stopper: Stopper) -> None:
         """Show the events at their times, and judge the device by them where there is a judge."""
-        now, rate, span, judge = 0, self.options.rate, self.window, pipeline.judge
+        now, rate, window, judge = 0, self.options.rate, self.window, pipeline.judge
         events = self.capture.sights() if judge else self.opened.capture.events(self.opened.after)
         # Between two events, time passes as it did in the recording.
         sleep = decoding.interruptible(
             stopper, lambda slept: pipeline.advance(now + int(slept * rate * 1e9))
         )
-        for event in decoding.paced(events, rate, sleep=sleep, start=span.first, end=span.after):
+        for event in decoding.paced(
+            events, rate, sleep=sleep, start=window.first, end=window.after
+        ):
             if stopper.stopped or pipeline.shown.full:
                 return
             now = event.t
             if not isinstance(event, Look):
                 pipeline.events([event])
             pipeline.advance(now)
-            if judge and isinstance(event, Look) and span.has(now):
+            if judge and isinstance(event, Look) and window.has(now):
                 judge.look(event)
         pipeline.finish()
 
@@ -233,7 +235,7 @@ class _Replay:
                 code = 1
             else:
                 target.finish()
-                code = self.compare(recorded, now, pipeline.shown.output, stopper)
+                code = self.compare(recorded, now, pipeline, stopper)
         if target.answered_stops:
             return code
         shared.note(UNANSWERED_STOPS)
@@ -262,7 +264,9 @@ class _Replay:
             pipeline.advance(event.t)
         handle(pipeline.finish())
 
-    def compare(self, recorded: Exchanges, now: Exchanges, output: Output, stopper: Stopper) -> int:
+    def compare(
+        self, recorded: Exchanges, now: Exchanges, pipeline: Pipeline, stopper: Stopper
+    ) -> int:
         """Show what was answered otherwise than in the recording, and return the exit code."""
         from bilprov.analyzer.decode.batch import Records
         from bilprov.analyzer.replay.comparison import differences
@@ -278,7 +282,7 @@ class _Replay:
             return 3
         found = list(differences(self.protocol, recorded, now))
         for fault in found:
-            output.show(Records([FaultRecord(fault, self.protocol.power_on)]))
+            pipeline.shown.output.show(Records([FaultRecord(fault, self.protocol.power_on)]))
         count = quantity(len(sent), "instruction")
         shared.note(f"{count} sent, {quantity(len(found), 'difference')}")
         return 1 if found else 0

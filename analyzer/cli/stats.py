@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal, cast
 import click
 import msgspec
 
-from bilprov.analyzer.cli import command_files as files
+from bilprov.analyzer.cli import command_files
 from bilprov.analyzer.cli import options as shared
 from bilprov.analyzer.cli.command import argument, command, group, option, refuse
 
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 class StatsOptions(msgspec.Struct, frozen=True):
     """The options of `stats`."""
 
-    paths: tuple[str, ...] = argument(metavar="FILE.mcap...", nargs=-1, required=True)
+    files: tuple[str, ...] = argument(metavar="FILE.mcap...", nargs=-1, required=True)
     expression: str | None = shared.filter_option()
-    json_file: str | None = files.json_option()
+    json_file: str | None = command_files.json_option()
     half_duplex: bool = shared.half_duplex_option()
-    force: bool = files.force_option()
+    force: bool = command_files.force_option()
 
 
 @command(StatsOptions, only_with={"json_file": ("force",)})
@@ -49,7 +49,9 @@ def stats(options: StatsOptions) -> None:
     from bilprov.analyzer.totals.totals import Totals
 
     json_file = options.json_file
-    files.require_writable([("--json", json_file)], options.paths, force=options.force)
+    command_files.require_writable(
+        [("--json", json_file)], inputs=options.files, force=options.force
+    )
     protocol, counted = _counted(options)
     each, together = [], Totals(protocol)
     for capture, totals in counted:
@@ -57,8 +59,8 @@ def stats(options: StatsOptions) -> None:
         each.append(file_stats(capture, totals, capture_line(capture, protocol)))
     found = stats_of(protocol, each, together, options.expression)
     if json_file is not None:
-        files.write_output(json_file, files.json_object(found))
-    if json_file != files.STANDARD_OUTPUT:
+        command_files.write_output(json_file, command_files.json_object(found))
+    if json_file != command_files.STANDARD_OUTPUT:
         show(*drawn(found, moves=protocol.at_rest is not None))
 
 
@@ -68,9 +70,9 @@ def _counted(options: StatsOptions) -> tuple[Protocol, list[tuple[Capture, Total
     from bilprov.captures.reader import open_front
 
     if not options.half_duplex:
-        files.keep_memory()
-        fronts = [open_front(path) for path in options.paths]
-        protocol = files.protocol_of(*fronts)
+        command_files.keep_memory()
+        fronts = [open_front(path) for path in options.files]
+        protocol = command_files.protocol_of(*fronts)
         found = _totals(options, fronts, protocol)
         wholes = [(front, front.whole()) for front in fronts]
         captures = [
@@ -82,7 +84,9 @@ def _counted(options: StatsOptions) -> tuple[Protocol, list[tuple[Capture, Total
             for capture in captures:
                 shared.note(*said_about(capture, protocol))
             return protocol, list(zip(captures, found, strict=True))
-    captures, protocol = files.opened_captures(options.paths, half_duplex=options.half_duplex)
+    captures, protocol = command_files.opened_captures(
+        options.files, half_duplex=options.half_duplex
+    )
     return protocol, list(zip(captures, _totals(options, captures, protocol), strict=True))
 
 
@@ -90,7 +94,7 @@ def _totals(options: StatsOptions, captures: Sequence[Capture], protocol: Protoc
     from bilprov.analyzer.replay.capture_decoding import capture_totals
 
     test = shared.compiled(options.expression, protocol)
-    with files.reading(captures) as progress:
+    with command_files.reading(captures) as progress:
         return [
             capture_totals(capture, protocol, progress, test and test.started(capture.start))
             for capture in captures
@@ -105,7 +109,7 @@ class PlotOptions(msgspec.Struct, frozen=True):
         "--html", metavar="OUT.html", required=True, help="The page to write; - is standard output."
     )
     half_duplex: bool = shared.half_duplex_option()
-    force: bool = files.force_option()
+    force: bool = command_files.force_option()
 
 
 @command(PlotOptions)
@@ -126,16 +130,20 @@ def plot(options: PlotOptions) -> None:
     from bilprov.analyzer.totals.totals import Totals
     from bilprov.analyzer.version import kit_version
 
-    files.require_writable([("--html", options.page)], [options.file], force=options.force)
-    (capture,), protocol = files.opened_captures([options.file], half_duplex=options.half_duplex)
+    command_files.require_writable(
+        [("--html", options.page)], inputs=[options.file], force=options.force
+    )
+    (capture,), protocol = command_files.opened_captures(
+        [options.file], half_duplex=options.half_duplex
+    )
     totals, timeline = Totals(protocol), Timeline(protocol)
-    with files.reading([capture]) as progress:
+    with command_files.reading([capture]) as progress:
         for batch in opened_whole(capture, protocol).decoded(progress):
             totals.add(batch)
             timeline.add(batch)
     stats = file_stats(capture, totals, capture_line(capture, protocol))
     page = plot_page(capture, protocol, timeline, stats, kit_version())
-    files.write_output(options.page, page.encode())
+    command_files.write_output(options.page, page.encode())
 
 
 FORMATS = ("csv", "jsonl", "parquet", "pcapng")
@@ -161,7 +169,7 @@ class ExportOptions(msgspec.Struct, frozen=True):
     span: shared.WindowOptions = group(shared.WindowOptions)
     rows: shared.RowOptions = group(shared.RowOptions)
     half_duplex: bool = shared.half_duplex_option()
-    force: bool = files.force_option()
+    force: bool = command_files.force_option()
 
 
 @command(ExportOptions)
@@ -189,17 +197,17 @@ def export(options: ExportOptions) -> None:
         if style not in able:
             refuse([parameter], f"is for {' and '.join(able)}, not for {style}")
     window = options.span.window()
-    (capture,), protocol = files.opened_captures([path], half_duplex=options.half_duplex)
+    (capture,), protocol = command_files.opened_captures([path], half_duplex=options.half_duplex)
     chosen_rows = options.rows.style(protocol)
     test = shared.compiled(options.expression, protocol)
     require_begun(capture, window.first)
     started = test and test.started(capture.start)
-    if output == files.STANDARD_OUTPUT and style not in TEXTS and sys.stdout.isatty():
+    if output == command_files.STANDARD_OUTPUT and style not in TEXTS and sys.stdout.isatty():
         raise click.UsageError("-o - is a terminal, and this is not text: name a file")
-    files.require_writable([("-o", output)], [path], force=options.force)
+    command_files.require_writable([("-o", output)], [path], force=options.force)
     with (
-        files.opened_file(output, replace=options.force) as stream,
-        files.reading([capture]) as progress,
+        command_files.opened_file(output, replace=options.force) as stream,
+        command_files.reading([capture]) as progress,
     ):
         chosen = rows.Chosen(capture, protocol, started, window, progress, chosen_rows)
         if style == "pcapng":

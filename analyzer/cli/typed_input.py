@@ -129,10 +129,12 @@ def _values(protocol: Protocol, spec: InstructionSpec, words: Sequence[str]) -> 
         where = f"{spec.name}.{owner.name}"
         if owner.name in values:
             raise ValueError(f"{where} is given twice")
-        value: Any = word
-        if word not in protocol.named_registers:
-            value = _value(where, field, word) if field else _number(where, word, owner)
-        values[owner.name] = value
+        if word in protocol.named_registers:
+            values[owner.name] = word
+        else:
+            values[owner.name] = (
+                _value(where, field, word) if field else _number(where, word, owner)
+            )
     return values
 
 

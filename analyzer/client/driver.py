@@ -84,8 +84,10 @@ class Refused(RobotError):
     `frame` the bytes that were sent, and `instruction` the name of the instruction.
     """
 
-    def __init__(self, words: str, code: int, answer: str, frame: bytes, instruction: str) -> None:
-        super().__init__(words, code, answer, frame, instruction)
+    def __init__(
+        self, sentence: str, code: int, answer: str, frame: bytes, instruction: str
+    ) -> None:
+        super().__init__(sentence, code, answer, frame, instruction)
         self.code = code
         self.answer = answer
         self.frame = frame
@@ -190,17 +192,18 @@ class InstructionMethods(ABC):
         """The signature of an instruction's method."""
         kind, only = inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY
         register, count = methods.read_by_name(self.protocol, spec)
-        optional: dict[str, Any] = {"default": None, "annotation": "int | None"}
         parameters = []
         for word, part in methods.parameter_names(spec).items():
             taken: Any = "int | str" if part.name == register else methods.taken_type(part)
             parameter = inspect.Parameter(word, kind, annotation=int if taken == "int" else taken)
             if part.name == count:
-                parameter = parameter.replace(**optional)
+                parameter = parameter.replace(default=None, annotation="int | None")
             parameters.append(parameter)
         address = self.protocol.layout.part("address")
         if address is not None:
-            parameters.append(inspect.Parameter(address.name, only, **optional))
+            parameters.append(
+                inspect.Parameter(address.name, only, default=None, annotation="int | None")
+            )
         return inspect.Signature(parameters, return_annotation=self._returned)
 
     def _built(self, name: str, values: Mapping[str, Any]) -> bytes:

@@ -210,10 +210,9 @@ class Link(Protocol):
         """Do one operation. Raises analyzer.client.operations.Ended when it cannot."""
 
 
-Interrupted: TypeAlias = Callable[[], bool | str]
-
-
-def drive(procedure: Procedure[T], link: Link, interrupted: Interrupted = lambda: False) -> T:
+def drive(
+    procedure: Procedure[T], link: Link, interrupted: Callable[[], bool | str] = lambda: False
+) -> T:
     """Run a procedure over a link to its end and return what it returns; see `steps`."""
     return finished(steps(procedure, link, interrupted))
 
@@ -228,7 +227,7 @@ def finished(steps_left: Generator[None, None, T]) -> T:
 
 
 def steps(
-    procedure: Procedure[T], link: Link, interrupted: Interrupted
+    procedure: Procedure[T], link: Link, interrupted: Callable[[], bool | str]
 ) -> Generator[None, None, T]:
     """Run a procedure over a link, and yield after each of its operations; returns what it does.
 

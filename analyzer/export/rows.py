@@ -130,7 +130,9 @@ def _arrays(
         yield pa.array(_values(column, lines, times, start), field.type)
 
 
-def _values(column: Column, lines: Sequence[JsonLine], times: Sequence[int], start: int) -> Any:
+def _values(
+    column: Column, lines: Sequence[JsonLine], times: Sequence[int], start: int
+) -> Sequence[Any]:
     """The values of a column in lines at these times (ns), of a capture that began at `start`."""
     name = column.name
     if name == "time":

@@ -108,8 +108,10 @@ def _host_columns(protocol: Protocol, rows: HostRows, start: int | None) -> Colu
         judged = (rows.kind == INSTRUCTION) & np.isin(rows.verdict, (VALID, BAD_DATA))
         for spec in protocol.instructions:
             if spec.fields:
-                held = np.flatnonzero(judged & (rows.header == protocol.key_of(spec.id)))
-                yield _Carried(spec, held, rows.offset[held] + head, rows.size[held] - head - tail)
+                found = np.flatnonzero(judged & (rows.header == protocol.key_of(spec.id)))
+                yield _Carried(
+                    spec, found, rows.offset[found] + head, rows.size[found] - head - tail
+                )
 
     own: Makers = {
         "id": partial(_part_of, protocol, rows, "id"),
@@ -330,9 +332,11 @@ def _of_fields(
                     continue
                 if kind is Kind.BYTES:
                     before = part.many.prefix.size if part.many and part.many.prefix else 0
-                    last = part is spec.fields[-1] and spec.counted is not None
+                    to_end = part is spec.fields[-1] and spec.counted is not None
                     start[rows] = at + part.offset + before
-                    size[rows] = np.maximum((many - part.offset if last else part.size) - before, 0)
+                    size[rows] = np.maximum(
+                        (many - part.offset if to_end else part.size) - before, 0
+                    )
                     continue
                 values = layouts.field_values(part, data, at)
                 if values.dtype.kind != "i":  # wider than 64 bits with a sign

@@ -107,7 +107,6 @@ def as_json(explanation: Explanation) -> dict[str, Any]:
 
 def _frame_json(frame: FrameExplanation) -> dict[str, Any]:
     judgement, meant = frame.judgement, frame.nearest
-    nearest = meant and {"hex": spaced(meant.frame), "words": meant.describe()}
     return {
         "offset": frame.offset,
         "hex": spaced(judgement.frame),
@@ -126,7 +125,12 @@ def _frame_json(frame: FrameExplanation) -> dict[str, Any]:
         "keeps": list(frame.keeps),
         "readings": [reading_json(one, *_READING) for one in frame.readings],
         "errata": [parts_of(erratum, "id", "clause", "correction") for erratum in frame.errata],
-        "nearest": nearest and nearest | {"differences": list(frame.differences)},
+        "nearest": meant
+        and {
+            "hex": spaced(meant.frame),
+            "words": meant.describe(),
+            "differences": list(frame.differences),
+        },
     }
 
 

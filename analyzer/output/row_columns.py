@@ -200,7 +200,9 @@ def _time(line: JsonLine) -> Value:
     return f"{line.t:.6f}"  # `cells` writes it in the chosen style
 
 
-def _key(name: str, title: str, width: int, text: _Text = _plain, *, right: bool = False) -> Column:
+def _key(
+    name: str, heading: str, width: int, text: _Text = _plain, *, right: bool = False
+) -> Column:
     """The column of a key of the JSON lines, empty where a line lacks it."""
 
     def value(line: JsonLine) -> Value:
@@ -208,7 +210,7 @@ def _key(name: str, title: str, width: int, text: _Text = _plain, *, right: bool
         return None if found is UNSET else found
 
     key = attrgetter(name)
-    return Column(name, title, width, value, text, right)
+    return Column(name, heading, width, value, text, right)
 
 
 COLUMNS: Mapping[str, Column] = {
@@ -345,9 +347,11 @@ class ColumnLines:
 
     def text(self, records: Iterable[Record]) -> str:
         """The lines of the records, each with its newline."""
-        return "".join(self._row(record, line) for record in records if (line := json_line(record)))
+        return "".join(
+            self._line(record, line) for record in records if (line := json_line(record))
+        )
 
-    def _row(self, record: Record, line: JsonLine) -> str:
+    def _line(self, record: Record, line: JsonLine) -> str:
         cells = []
         for column in self._columns:
             if column is TIME:  # which makes the row the one before the next, for `delta`

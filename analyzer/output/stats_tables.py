@@ -135,9 +135,10 @@ def _instructions(counts: Json) -> Iterator[RenderableType]:
 
 
 def _responses(counts: Json) -> Iterator[RenderableType]:
-    expected, given = counts["expected"], counts["responses"]
-    names = dict.fromkeys([*expected, *given])
-    pairs = {name: (expected.get(name, 0), given.get(name, 0)) for name in names}
+    names = dict.fromkeys([*counts["expected"], *counts["responses"]])
+    pairs = {
+        name: (counts["expected"].get(name, 0), counts["responses"].get(name, 0)) for name in names
+    }
     rows = [(printable(name), *map(_count, pair)) for name, pair in pairs.items() if any(pair)]
     yield from _table(("response", "expected", "given"), rows)
 

@@ -393,13 +393,7 @@ class Totals:
         verdict = np.where(uncoded, np.uint8(_UNCODED), verdict)
         self._due += [np.count_nonzero(verdict == place) for place in range(_UNCODED + 1)]
         self.rates.count("frames", end)
-        # The frames that ended in each second; times increase.
-        seconds, counts = np.unique(end // SECOND, return_counts=True)
-        for second, count in zip(seconds.tolist(), counts.tolist(), strict=True):
-            if second != self._second:
-                self._second, self._in_second = second, 0
-            self._in_second += count
-            self.peak = max(self.peak, self._in_second)
+        self._ended(end)
         return [start, last]
 
     def _add_devices(self, devices: DeviceRows, mask: Mask | None) -> list[int]:
@@ -469,6 +463,15 @@ class Totals:
                 nobody = place == many - 1 or kind == "garbage"
                 identity = None if nobody else int(self._ids[place])
                 self._faults[direction, identity, kind] += int(counts[pair])
+
+    def _ended(self, end: NDArray[np.int64]) -> None:
+        """Count frames that ended at these times, which increase."""
+        seconds, counts = np.unique(end // SECOND, return_counts=True)
+        for second, count in zip(seconds.tolist(), counts.tolist(), strict=True):
+            if second != self._second:
+                self._second, self._in_second = second, 0
+            self._in_second += count
+            self.peak = max(self.peak, self._in_second)
 
     def _follow(self, hosts: HostRows, heard: list[int]) -> None:
         """Add up for how long the wheels turn; `heard` are times (ns) of bytes that were counted.

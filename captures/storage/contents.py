@@ -33,7 +33,12 @@ from bilprov.captures.wall_clock import stated_number
 
 SUMMARY_BYTES: Final = 64 * 1024 * 1024  # enough for half a million chunks
 
-_PASSED = {Opcode.SCHEMA, Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX, Opcode.SUMMARY_OFFSET}
+_PASSED: Final = {
+    Opcode.SCHEMA,
+    Opcode.ATTACHMENT_INDEX,
+    Opcode.METADATA_INDEX,
+    Opcode.SUMMARY_OFFSET,
+}
 
 _DATA_END = struct.Struct("<BQI")  # opcode, length; CRC over all data, 0 for none
 _FOOTER = struct.Struct("<BQQQI")  # opcode, length; summary start, summary offset start, CRC
@@ -209,7 +214,9 @@ class Order:
     missing: str = ""
 
 
-def ordered(blocks: Iterator[Messages], contents: Contents, order: Order) -> Iterator[Messages]:
+def put_in_order(
+    blocks: Iterator[Messages], contents: Contents, order: Order
+) -> Iterator[Messages]:
     """Yield those messages of a file's blocks that are to be read.
 
     Those of our own files come in file order, those of others by time.

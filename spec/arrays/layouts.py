@@ -92,7 +92,9 @@ def field_values(part: FieldSpec, data: NDArray[np.uint8], at: NDArray[np.int64]
     return np.take(np.array(values) if values else np.zeros(0, np.int64), place)
 
 
-def number_values(number: Number, data: Bytes, at: Places) -> Places:
+def number_values(
+    number: Number, data: NDArray[np.uint8], at: NDArray[np.int64]
+) -> NDArray[np.int64]:
     """The numbers whose first bytes are at these places of `data`; of at most WIDEST bytes.
 
     Those that reach beyond the data are wrong.

@@ -28,7 +28,9 @@ def method_names(protocol: Protocol) -> Mapping[str, InstructionSpec]:
 
 def parameter_names(spec: InstructionSpec) -> Mapping[str, FieldSpec]:
     """Return each field by the name of its parameter, in the order in which they are sent."""
-    words = ((snake_case(one.name, "field_"), one) for one in spec.fields if one.constant is None)
+    words = (
+        (snake_case(part.name, "field_"), part) for part in spec.fields if part.constant is None
+    )
     return each_once(words, {"self", *keyword.kwlist})
 
 

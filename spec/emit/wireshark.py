@@ -87,7 +87,9 @@ def _grammar(protocol: Protocol) -> dict[str, Any]:
         | {spec.id: spec.name for spec in protocol.instructions},
         "used": ", ".join(map(str, protocol.by_id)),
         "codes": {spec.code: spec.name for spec in protocol.responses},
-        "meanings": {one.code: [each.value for each in one.outcomes] for one in protocol.responses},
+        "meanings": {
+            spec.code: [one.value for one in spec.outcomes] for spec in protocol.responses
+        },
         "flags": protocol.flags,
         # An outcome's word, the code that is due (None: none), whether it is answered at all.
         "outcomes": {
@@ -209,7 +211,9 @@ def _lua(value: Any, indent: str = "\n") -> str:
     deeper = indent + "    "
     if isinstance(value, dict):
         keys = (f"{key} = " if isinstance(key, str) else f"[{key}] = " for key in value)
-        entries = [key + _lua(one, deeper) for key, one in zip(keys, value.values(), strict=True)]
+        entries = [
+            key + _lua(inner, deeper) for key, inner in zip(keys, value.values(), strict=True)
+        ]
     else:
         entries = [_lua(inner, deeper) for inner in value]
     line = f"{{ {', '.join(entries)} }}"
