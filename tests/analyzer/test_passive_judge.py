@@ -180,60 +180,6 @@ def test_another_grammar_is_judged_by_itself(
 
 # -- violations -----------------------------------------------------------------------------------
 
-OK_20 = [host(0, "20"), device(1, "00")]
-VIOLATIONS: dict[str, tuple[list[Event], dict[str, int]]] = {
-    "the wrong code": ([host(0, "90"), device(1, "02")], {"disagreeing": 1}),
-    "refused though valid": ([host(0, "20"), device(1, "04")], {"disagreeing": 1}),
-    "a header code for a wrong length": (
-        [host(0, "12 00 00"), device(1, "01")],
-        {"disagreeing": 1},
-    ),
-    "an unused code": ([host(0, "20"), device(1, "07")], {"unused code": 1}),
-    "no answer": ([host(0, "20"), host(1500, "00"), device(1501, "00")], {"unanswered": 1}),
-    "a second answer": ([*OK_20, device(2, "00"), host(300, "00")], {"unsolicited": 1}),
-    "one by itself": ([*OK_20, device(900, "00"), host(2000, "00")], {"unsolicited": 1}),
-    "an unused code by itself": ([*OK_20, device(900, "42"), host(2000, "00")], {"unsolicited": 1}),
-    "later than a second": (
-        [*OK_20, host(100, "00"), device(1200, "00"), host(2000, "00"), device(2001, "00")],
-        {"unanswered": 1, "unsolicited": 1},
-    ),
-}
-
-
-@pytest.mark.parametrize("name", VIOLATIONS)
-def test_what_no_conforming_device_does_is_a_violation(name: str, protocol: Protocol) -> None:
-    events, violations = VIOLATIONS[name]
-    findings = judged(protocol, events)
-
-    assert findings.violations == violations
-    assert findings.exit == 1
-    assert [violation.kind for violation in findings.listed] == list(violations)
-    assert all(violation.clause and violation.reason for violation in findings.listed)
-
-
-READINGS: dict[str, tuple[list[Event], dict[str, int]]] = {
-    "slow": ([host(0, "20"), device(150, "00")], {"R-answer-deadline": 1}),
-    "an unused ID by its length": ([host(0, "91 00"), device(1, "03")], {"R-unused-length": 1}),
-    "data first": ([host(0, "82 09 00"), device(1, "02")], {"R-competing-errors": 1}),
-    "silent when cut short": (
-        [host(0, "11"), host(3000, "00"), device(3001, "00")],
-        {"R-truncated-known": 1},
-    ),
-    "flushed after a fault": (
-        [host(0, "90"), device(1, "01"), host(30, "20"), host(60, "20"), host(2000, "00")],
-        {"R-drain-known": 2},
-    ),
-}
-
-
-@pytest.mark.parametrize("name", READINGS)
-def test_another_legal_reading_is_named_and_no_violation(name: str, protocol: Protocol) -> None:
-    events, readings = READINGS[name]
-    findings = judged(protocol, events)
-
-    assert (findings.readings, findings.violations) == (readings, {})
-    assert findings.exit == 0
-
 
 def test_only_the_first_violations_are_listed_and_all_are_counted(protocol: Protocol) -> None:
     events: list[Event] = []
@@ -331,36 +277,6 @@ def test_a_robot_seen_moving_after_a_fault_is_a_violation(name: str, protocol: P
 
 
 # -- what cannot be judged ------------------------------------------------------------------------
-
-
-LOSSY = [device(302, "01"), host(303, "20"), device(304, "04"), device(305, "00")]
-LOST = {"bytes were lost before the answer": 1}
-NOT_JUDGED: dict[str, tuple[list[Event], int, dict[str, int]]] = {
-    "nothing": ([], 0, {}),
-    "not answered when it ended": (
-        [*OK_20, host(300, "90")],
-        1,
-        {"the traffic ended before the answer was due": 1},
-    ),
-    "a banner before the first instruction": (
-        [device(0, "48 69 0a"), host(500, "20"), device(501, "00")],
-        1,
-        {"it is not clear which instruction was answered": 3},
-    ),
-    **{
-        f"around {event}": ([*OK_20, host(300, "90"), Line(301 * MS, event), *LOSSY], 1, LOST)
-        for event in ("gap", "overrun", "reconnected")
-    },
-}
-
-
-@pytest.mark.parametrize("name", NOT_JUDGED)
-def test_what_cannot_be_judged_accuses_nobody(name: str, protocol: Protocol) -> None:
-    events, judged_, reasons = NOT_JUDGED[name]
-    findings = judged(protocol, events)
-
-    assert (findings.exit, findings.violations, findings.judged) == (0, {}, judged_)
-    assert reasons.items() <= findings.not_judged.items(), findings.not_judged
 
 
 def test_with_one_direction_alone_nothing_is_judged(protocol: Protocol) -> None:

@@ -8,10 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from bilprov.captures.schemas import MS, Chunk
-from bilprov.spec.codec import build, judge
 from bilprov.spec.protocol import load
-from bilprov.spec.replies import build_reply
 from tests.support import ROOT
 from tests.support.commands import Done, command, process
 from tests.support.framed_traffic import FRAMED, framed_capture, odd_traffic
@@ -102,34 +99,6 @@ def test_no_command_fails_at_a_damaged_capture(tmp_path: Path, grammar: str) -> 
         sentences = done.stderr.decode().splitlines()
         assert "Traceback" not in done.stderr.decode(), line
         assert done.returncode in (0, 1), (line, sentences)
-
-
-@pytest.mark.parametrize("grammar", FRAMED)
-def test_the_bytes_of_an_unasked_answer_are_a_difference(tmp_path: Path, grammar: str) -> None:
-    protocol = load(FRAMED[grammar], "grammar.py")
-    unasked = b"\x33\xff\x14\x10\x80"
-    framed_capture(tmp_path / "a.mcap", protocol, [Chunk(0, "device", unasked)])
-    framed_capture(tmp_path / "b.mcap", protocol, [])
-
-    done = command("capture", "diff", "a.mcap", "b.mcap", "--json", "-", cwd=tmp_path)
-
-    (found,) = json.loads(done.stdout)["listed"]
-    assert (done.returncode, found["kind"]) == (1, "unasked")
-    assert (found["a"]["unasked"], found["b"]["unasked"]) == (unasked.hex(" "), "")
-
-
-def test_an_answer_with_other_data_is_another_answer(tmp_path: Path) -> None:
-    protocol = load(FRAMED["roboclaw"], "roboclaw.py")
-    asked = build(protocol, "MainBattery", {"address": 0x80})
-    for name, volts in (("a", 123), ("b", 124)):
-        answer = build_reply(protocol, judge(protocol, asked), {"voltage": volts})
-        events = [Chunk(0, "host", asked), Chunk(MS, "device", answer)]
-        framed_capture(tmp_path / f"{name}.mcap", protocol, events)
-
-    done = command("capture", "diff", "a.mcap", "b.mcap", cwd=tmp_path)
-
-    assert done.returncode == 1
-    assert b"voltage=123 (" in done.stdout
 
 
 @pytest.mark.waits

@@ -20,7 +20,7 @@ from bilprov.analyzer.decode.records import (
     Record,
     is_frame,
 )
-from bilprov.analyzer.decode.session import BOTH, Session
+from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.edit.cut import (
     CUT_THROUGH,
     edited_metadata,
@@ -198,113 +198,6 @@ def is_read(event: Event, side: str) -> bool:
     return isinstance(event, Chunk) and event.direction == side
 
 
-# Recordings that once were cut wrongly: their settings, and what comes when (ms).
-HELD = {"skew": 20 * MS, "timeout": None, "heard": BOTH, "attached": False}
-ATTACHED = HELD | {"skew": 0, "attached": True}
-CUT_BEFORE = {
-    "an answer is held behind others that are left out": (
-        HELD,
-        [
-            *[(0, "host", "00 00 01 21 00 00"), (1000, "host", "00 01 21")],
-            *[(1000, "device", "00 00 03 00 00 00 03"), *[(1000, "host", "00")] * 8],
-        ],
-    ),
-    "an answer that is left out comes within a frame": (
-        HELD,
-        [
-            *[(0, "host", "00 00"), (0, "device", "00 00 00"), (0, "break", "")],
-            *[(0, "host", "00 00"), (0, "device", "00 00 00"), (1, "host", "b2 32 41 0c 00 00")],
-            *[(1, "host", "b2 96 df 88 02 00"), (1, "device", "00 00 00 00")],
-            (1, "host", "00 00 00 00 00"),
-        ],
-    ),
-    "an empty chunk comes while frame boundaries are looked for": (
-        ATTACHED,
-        [(0, "host", "00"), (0, "host", ""), (0, "host", "00 00 00 00"), *[(0, "host", "00")] * 11],
-    ),
-    "an empty chunk comes before frame boundaries are looked for": (
-        ATTACHED,
-        [
-            *[(0, "host", ""), (15, "device", ""), (15, "host", "00 00 00 09" + "21" * 9 + "00")],
-            *[(15, "device", "00 00 00 03 00"), *[(15, "host", "00")] * 6],
-        ],
-    ),
-    "a loss, and the boundaries are not found before the end": (
-        HELD | {"skew": 0},
-        [
-            *[(0, "gap", ""), (0, "host", "00"), (0, "device", "01")],
-            *[(1, "host", "00"), (1, "device", "00")],
-        ],
-    ),
-    "a loss, and two are selected before the boundaries are found": (
-        HELD | {"skew": 0},
-        [
-            *[(0, "gap", ""), (0, "host", "00"), (0, "device", "01")],
-            *[(1, "host", "00"), (1, "device", "00"), (2, "host", "00"), (2, "device", "01")],
-            *[(500, "host", "00"), (500, "device", "00")],
-        ],
-    ),
-    "a frame is cut short at the end": (
-        HELD | {"heard": frozenset({"host"})},
-        [(125, "host", "1c"), (129, "device", "")],
-    ),
-    "a frame has been cut short when the next bytes come": (
-        HELD | {"heard": frozenset({"host"})},
-        [(125, "host", "1c"), (129, "device", ""), (264, "host", "")],
-    ),
-    "an answer to nothing waits for an instruction that comes later": (
-        HELD,
-        [(0, "device", "00 00"), (1, "host", "00")],
-    ),
-    "an instruction that is never answered is given up after others": (
-        HELD | {"skew": 0},
-        [
-            *[(0, "unplugged", ""), (1001, "host", "21 00")],
-            *[(1002, "device", "7b"), (1005, "device", "51")],
-        ],
-    ),
-}
-
-
-@pytest.mark.parametrize("name", CUT_BEFORE)
-def test_a_filtered_part_is_decoded_as_what_was_selected(
-    protocol: Protocol, tmp_path: Path, name: str
-) -> None:
-    how, pieces = CUT_BEFORE[name]
-    compare_selected(tmp_path / "a.mcap", protocol, how, pieces, ALL)
-
-
-def test_a_frame_that_is_given_up_behind_the_window_is_decoded_as_it_was(
-    tmp_path: Path, protocol: Protocol
-) -> None:
-    pieces = [(0, "host", "00 02 00"), (0, "device", "00 00"), (20, "host", "00")]
-    how = HELD | {"skew": 0}
-    compare_selected(tmp_path / "a.mcap", protocol, how, pieces, Window(0, MS))
-
-
-def compare_selected(
-    path: Path,
-    protocol: Protocol,
-    how: dict[str, Any],
-    pieces: Iterable[tuple[int, str, str]],
-    window: Window,
-) -> None:
-    """Write what comes when (ms), cut what is faulty out of it, and compare what is decoded."""
-    events = [
-        Chunk(t * MS, side, bytes.fromhex(data))
-        if side in ("host", "device")
-        else Line(t * MS, side, "host")
-        for t, side, data in pieces
-    ]
-    path = written(path, events, how)
-    part = cut(path, protocol, window, "faulty")
-
-    expected = selected(read_capture(path, protocol), window, compiled("faulty", protocol))
-    assert expected
-    assert in_order(expected, seen(read_capture(part, protocol)))
-    assert_whole_reads(path, part)
-
-
 def last_byte(record: Record) -> int:
     return record.end if isinstance(record, HostRecord) else record.t
 
@@ -362,11 +255,6 @@ def done(*words: object, code: int = 0) -> str:
     result = command(*map(str, words))
     assert (result.returncode, result.stdout) == (code, b""), result.stderr
     return result.stderr.decode()
-
-
-def test_a_file_s_name_is_shown_with_its_control_characters_escaped(tmp_path: Path) -> None:
-    said = done("capture", "cut", SAMPLE, tmp_path / "\x1b[31mred.mcap", "--end", "1")
-    assert "\\x1b[31mred.mcap holds" in said
 
 
 def test_a_part_can_be_cut_again_and_be_converted(tmp_path: Path) -> None:

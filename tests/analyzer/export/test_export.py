@@ -149,14 +149,6 @@ def test_without_pyarrow_the_line_that_brings_it_is_told(
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("style", ["csv", "jsonl"])
-def test_text_is_utf_8(tmp_path: Path, style: str) -> None:
-    events = [Line(0, "break", "host", "Prüfstand"), Chunk(1, "host", b"\0")]
-    path = written(tmp_path / "a.mcap", events)
-
-    assert "Prüfstand" in exported(path, style).decode()
-
-
 def much(path: Path, kilobytes: int) -> Path:
     """A capture with so much of the host in regular traffic, and its answers."""
     random, events = Random(1), list[Chunk | Line]()

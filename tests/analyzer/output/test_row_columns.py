@@ -15,16 +15,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bilprov.analyzer.decode.json_lines import JsonLine, json_line
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.output.outputs import json_text
 from bilprov.analyzer.output.row_columns import (
-    ColumnError,
-    ColumnLines,
     CsvText,
     Times,
     TimeStyle,
-    chosen_columns,
     columns_of,
     csv_cell,
     neutral,
@@ -54,11 +50,6 @@ def in_stockholm(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     time.tzset()
 
 
-def rows(protocol: Protocol, *exchanges: tuple[bytes, bytes]) -> list[JsonLine]:
-    lines = [json_line(record) for record in decoded(Session(protocol), conversation(exchanges))]
-    return [line for line in lines if line is not None]
-
-
 @pytest.mark.parametrize(
     ("style", "first", "second"),
     [
@@ -80,49 +71,6 @@ def test_delta_counts_from_the_row_shown_before_and_may_be_negative() -> None:
     times = Times(TimeStyle.DELTA)
 
     assert [times.shown(t * MS) for t in (5, 8, 6)] == ["0.000000", "0.003000", "-0.002000"]
-
-
-def test_cells_are_for_people_and_values_for_programs(protocol: Protocol) -> None:
-    columns = chosen_columns(
-        "time,t_ns,NAME,rgb,id,len,data,latency,state.moving,agrees", columns_of(protocol)
-    )
-    exchange = conversation([(b"\x81\x05", b"\0")])
-    lines = ColumnLines(columns, Times(), colour=False).text(decoded(Session(protocol), exchange))
-    said, answered = (line.split() for line in lines.splitlines())
-
-    assert said == ["0.020000", "20000000", "LED", "5", "8", "1", "05", "false"]
-    assert answered == ["0.021000", "21000000", "OK", "1.000", "ms", "false", "true"]
-    (_, answer) = rows(protocol, (b"\x81\x05", b"\0"))
-    assert [column.value(answer) for column in columns[-3:]] == [0.001, False, True]
-
-
-def test_each_kind_of_row_has_the_columns_of_its_kind_and_no_others(protocol: Protocol) -> None:
-    columns = chosen_columns("kind,id,len,data,response,judgement", columns_of(protocol))
-    lines = rows(protocol, (b"\x81\x05", b"\0"), (b"\x11", b""))  # the second is cut short
-
-    assert [[column.value(line) for column in columns] for line in lines] == [
-        ["instruction", 8, 1, "05", None, "OK"],
-        ["response", None, None, None, "OK", "OK"],
-        ["truncated", 1, 1, "", None, "TOO_FEW_DATA"],
-    ]
-
-
-@pytest.mark.parametrize(
-    ("names", "sentence"),
-    [
-        ("t,latncy", "there is no column 'latncy', did you mean latency?"),
-        ("t,,name", "there is no column ''"),
-        ("", "there is no column ''"),
-        ("t,T", "the column t is named twice"),
-        ("\x1b[2J", r"there is no column '\\x1b[2J'"),
-    ],
-)
-def test_a_wrong_column_is_one_sentence(protocol: Protocol, names: str, sentence: str) -> None:
-    with pytest.raises(ColumnError) as error:
-        chosen_columns(names, columns_of(protocol))
-
-    assert str(error.value).startswith(sentence)
-    assert str(error.value).isprintable()
 
 
 @pytest.mark.waits

@@ -86,30 +86,6 @@ def test_every_key_is_explained() -> None:
     assert keys <= explained
 
 
-def test_the_settings_of_the_recording_are_used(tmp_path: Path, protocol: Protocol) -> None:
-    events: list[Event] = [Chunk(0, "host", b"\x11"), Chunk(30 * MS, "host", b"\x05")]
-
-    kinds = [
-        +capture_totals(
-            open_capture(written(tmp_path / f"{ms}.mcap", events, truncation_timeout_ms=ms)),
-            protocol,
-        ).kinds
-        for ms in ("20", "40")
-    ]
-
-    assert kinds == [{"truncated": 2}, {"instruction": 1}]
-
-
-def test_a_direction_that_is_heard_late_is_paired_all_the_same(tmp_path: Path) -> None:
-    said = [Chunk(t * MS, "host", b"\x21\x11") for t in (0, 200)]
-    events = [*said, Chunk(201 * MS, "device", b"\x00")]
-    path = written(tmp_path / "a.mcap", events, heard="")
-
-    (file,) = counted(path)["files"]
-
-    assert file["counts"]["latency"]["count"] == 1
-
-
 def test_progress_is_told_all_bytes_in_batches(tmp_path: Path, protocol: Protocol) -> None:
     stops, answers = bytes([protocol.pad_byte]) * 4096, bytes(4096)
     events: list[Event] = []

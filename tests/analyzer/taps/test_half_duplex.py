@@ -26,7 +26,6 @@ from bilprov.spec.protocol import Protocol
 from tests.analyzer.decode.test_foreign_traffic import TRAFFIC, events
 from tests.support.commands import command
 from tests.support.framed_traffic import Traffic, exchanges
-from tests.support.wireshark import capture_of
 
 TIMEOUT = 50 * MS
 
@@ -74,74 +73,6 @@ def test_a_tap_may_join_at_any_byte() -> None:
         found = told(load_protocol("modbus-rtu"), [Chunk(t, "host", bytes([b])) for t, _, b in cut])
         assert len(by_byte(found)) == len(wire) - at
         assert by_byte(found)[third - at :] == cut[third - at :], at
-
-
-def captures(folder: Path) -> tuple[Path, Path]:
-    """The same traffic as one tap on its wire recorded it, and as two recorded it."""
-    protocol = load_protocol("modbus-rtu")
-    chunks = list(events("sr_flowmeter_target_15liter_per_min"))
-    wire = [Chunk(chunk.t, "host", chunk.data) for chunk in chunks]
-    return (
-        capture_of(folder / "wire.mcap", protocol, wire, heard="host"),
-        capture_of(folder / "two.mcap", protocol, chunks),
-    )
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        "replay FILE --rate 0 --format jsonl",
-        "replay FILE --rate 0 --format jsonl --start 1",
-        "replay FILE --judge --rate 0 --format jsonl",
-        "export FILE --format csv -o -",
-    ],
-)
-def test_a_capture_of_one_tap_is_read_as_one_of_two(words: str, tmp_path: Path) -> None:
-    wire, two = captures(tmp_path)
-
-    split = command(*words.replace("FILE", str(wire)).split(), "--half-duplex")
-    apart = command(*words.replace("FILE", str(two)).split())
-
-    assert split.stdout == apart.stdout
-    assert split.stdout.count(b"\n") > 20
-    assert split.returncode == apart.returncode
-
-
-def test_it_is_counted_plotted_and_copied_with_the_directions_apart(tmp_path: Path) -> None:
-    wire, two = captures(tmp_path)
-    counts = []
-    for file, more in ((wire, ["--half-duplex"]), (two, [])):
-        done = command("stats", str(file), "--json", "-", *more)
-        counts.append(json.loads(done.stdout)["files"][0]["counts"])
-    page = command("plot", str(wire), "--html", "-", "--half-duplex").stdout
-    copied = command("capture", "decode", str(wire), str(tmp_path / "new.mcap"), "--half-duplex")
-
-    assert counts[0] == counts[1]
-    assert counts[0]["agreeing"] > 10
-    assert b"ReadHoldingRegisters" in page
-    assert copied.returncode == 0, copied.stderr
-    read = [
-        by_byte(x for x in bilprov.open_capture(file) if isinstance(x, Chunk))
-        for file in (tmp_path / "new.mcap", two)
-    ]
-    assert read[0] == read[1]
-    again = command("stats", str(tmp_path / "new.mcap"), "--half-duplex")
-    assert again.returncode == 2
-    assert again.stderr.decode().endswith(
-        "new.mcap has the directions apart already: --half-duplex is for a capture of one tap\n"
-    )
-
-
-def test_a_grammar_is_checked_against_what_one_tap_recorded(tmp_path: Path) -> None:
-    wire, _ = captures(tmp_path)
-    alone = command("spec", "check", "modbus-rtu", str(wire))
-    split = command("spec", "check", "modbus-rtu", str(wire), "--half-duplex")
-
-    assert (alone.returncode, split.returncode) == (1, 0)
-    assert alone.stderr.decode().strip().endswith("--half-duplex decodes all of these bytes")
-    assert b"device  1096 of 1096 bytes decode: 66 answers" in split.stdout
-    one = command("spec", "check", "modbus-rtu", "11 03 00 6b 00 03 76 88")
-    assert (one.returncode, one.stderr) == (1, b"")
 
 
 @pytest.mark.waits
@@ -230,16 +161,3 @@ def test_it_is_sniffed_as_a_line_and_recorded_as_what_it_is(tmp_path: Path) -> N
     capture = open_capture(path)
     assert capture.metadata["port_simulated"] == "drive"
     assert not {"port_host", "port_device", "port_bridge"} & set(capture.metadata)
-
-
-def test_it_has_no_other_port_beside_it_and_a_file_of_that_name_comes_first(
-    tmp_path: Path,
-) -> None:
-    for more in (["/dev/x"], ["--bridge", "/dev/x"]):
-        result = command("sniff", "sim", *more)
-        assert (result.returncode, result.stdout) == (2, b"")
-        assert b"name it alone" in result.stderr
-    (tmp_path / "sim").touch()
-    result = command("sniff", "sim", cwd=tmp_path)
-    assert (result.returncode, result.stdout) == (2, b"")
-    assert b"sim is not a serial port" in result.stderr

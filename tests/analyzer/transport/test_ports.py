@@ -392,28 +392,6 @@ def test_an_address_where_nobody_listens(listener: socket.socket) -> None:
     assert refusal(f"rfc2217://{address}").startswith(f"nobody listens at {address}")
 
 
-@pytest.mark.parametrize(
-    ("name", "reason"),
-    [
-        ("foo://x", "protocol 'foo' not known"),
-        ("loop://?speed=1", "unknown option: 'speed'"),
-        ("socket://127.0.0.1", "write it like socket://127.0.0.1:5000"),
-        ("socket://:5000", "write it like socket://127.0.0.1:5000"),
-        ("rfc2217://127.0.0.1:99999", "write it like rfc2217://127.0.0.1:5000"),
-        ("alt:///dev/x?class=Nope", "unknown class: 'Nope'"),
-        ("hwgrep://no such thing", "no ports found matching"),
-        ("", "there is no port ''"),
-        ("socket", "there is no socket"),
-        *(
-            (name, f"did you mean socket://{name.removeprefix('tcp:')}, ")
-            for name in ("127.0.0.1:7701", "tcp:127.0.0.1:7701", "robot.local:7701")
-        ),
-    ],
-)
-def test_a_name_that_is_no_port_is_said_with_its_reason(name: str, reason: str) -> None:
-    assert reason in refusal(name)
-
-
 @pytest.mark.parametrize("number", [errno.ENXIO, errno.ENODEV, errno.EIO])
 def test_numbers_of_a_device_that_is_not_there_mean_one_thing(number: int) -> None:
     error = OSError(number, "x")
