@@ -29,16 +29,6 @@ pytestmark = pytest.mark.waits
 BACK = "was lost and is there again, and the robot was stopped there first"
 
 
-def test_the_robot_is_left_at_rest_although_it_was_sent_forward() -> None:
-    with simulate() as served:
-        result = command("send", served.port, "Speed 255", "Forward", "--together", "--yes")
-        state = served.state()
-
-    assert result.returncode == 0
-    assert state["moving"] is False
-    assert "Forward" in result.stdout.decode()
-
-
 def test_what_a_device_does_once_after_power_on_shows_where_it_is_not_homed_first(
     protocol: Protocol,
 ) -> None:
@@ -52,35 +42,28 @@ def test_what_a_device_does_once_after_power_on_shows_where_it_is_not_homed_firs
     assert answers == [(1, 2), (0, 1)]
 
 
-def test_ctrl_c_ends_a_pause_and_what_was_not_sent_is_told(protocol: Protocol) -> None:
-    device = Simulator(protocol)
-    with (
-        served_here(device) as (port, _),
-        running("send", port, "Speed 9", "Forward", "pause=60000", "Stop", "--yes") as command,
-    ):
-        for _ in range(4):
-            command.stdout.readline()
-        code, _, err = command.end()
-
-    assert (code, err) == (1, b"2 of 3 instructions were sent\n")
-    assert (device.state.moving, device.state.speed) == (False, 9)
-
-
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 1), (signal.SIGQUIT, 131)])
-def test_a_last_pause_that_is_cut_short_is_told_too(
-    protocol: Protocol, number: signal.Signals, status: int
+@pytest.mark.parametrize(
+    ("more", "number", "status", "told"),
+    [
+        (["Stop"], signal.SIGINT, 1, "2 of 3 instructions were sent"),
+        ([], signal.SIGINT, 1, "stopped before the end"),
+        ([], signal.SIGQUIT, 131, "stopped before the end"),
+    ],
+)
+def test_a_signal_ends_a_pause_and_what_was_not_done_is_told(
+    protocol: Protocol, more: list[str], number: signal.Signals, status: int, told: str
 ) -> None:
     device = Simulator(protocol)
     with (
         served_here(device) as (port, _),
-        running("send", port, "Forward", "pause=60000", "--yes") as command,
+        running("send", port, "Speed 9", "Forward", "pause=60000", *more, "--yes") as command,
     ):
-        for _ in range(2):
+        for _ in range(4):
             command.stdout.readline()
         code, _, err = command.end(number)
 
-    assert (code, err) == (status, b"stopped before the end\n")
-    assert not device.state.moving
+    assert (code, err.decode()) == (status, f"{told}\n")
+    assert (device.state.moving, device.state.speed) == (False, 9)
 
 
 # -- what the answers are worth -------------------------------------------------------------------
@@ -175,19 +158,13 @@ def test_a_robot_that_drives_too_long_without_an_instruction_is_stopped() -> Non
         moves = ("Speed 80", "Forward", "pause=60000", "Speed 9")
         result = command("send", served.port, *moves, "--yes", "--max-drive", "0.2")
         state = served.state()
+        rested = command("send", served.port, "Stop", "pause=400", "--yes", "--max-drive", "0.1")
 
-    assert result.returncode == 1
+    assert (result.returncode, rested.returncode) == (1, 0)
     told = result.stderr.decode()
     assert "stopped: it has driven for 0.2 s without a new instruction" in told
     assert "2 of 3 instructions were sent" in told
     assert (state["moving"], state["speed"]) == (False, 80)
-
-
-def test_a_pause_at_rest_is_no_drive() -> None:
-    with simulate() as served:
-        result = command("send", served.port, "Speed 8", "pause=400", "--yes", "--max-drive", "0.1")
-
-    assert result.returncode == 0, result.stderr
 
 
 # -- a port that comes late, or again -------------------------------------------------------------

@@ -50,21 +50,6 @@ def capture(tmp_path: Path) -> Write:
     return write
 
 
-def _shown(path: Path, *more: str) -> list[dict[str, object]]:
-    run = commands.command("replay", str(path), "--rate", "0", "--format", "jsonl", *more)
-    assert run.returncode == 0, run.stderr
-    return json_lines(run.stdout)
-
-
-@pytest.mark.parametrize("text", ["", "nan", "-5", "1e99", "\x1b[2J"])
-def test_a_file_that_tells_nonsense_is_decoded_with_the_usual_settings(
-    capture: Write, text: str
-) -> None:
-    metadata = dict.fromkeys(("truncation_timeout_ms", "skew_ms", "heard", "line"), text)
-
-    assert len(_shown(capture(conversation(TALK), metadata))) == 10
-
-
 def test_ctrl_c_ends_a_slow_replay_with_0(capture: Write) -> None:
     path = capture([Chunk(0, "host", b"\x20"), Chunk(3600_000 * MS, "host", b"\x00")])
 

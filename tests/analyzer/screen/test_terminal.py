@@ -17,7 +17,6 @@ from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk
 from bilprov.captures.writer import CaptureWriter
 from tests.support import ROOT
-from tests.support.commands import process
 from tests.support.screens import Tmux, terminal
 from tests.support.terminals import CONTINUE, CTRL_Z, as_job
 
@@ -245,13 +244,6 @@ def test_without_colours_and_without_utf_8_it_is_readable(tmp_path: Path) -> Non
         assert not any(f"\x1b[{code}m" in coloured for code in range(30, 38))
         tmux.press("q")
         left(tmux)
-
-
-def test_a_screen_needs_a_terminal() -> None:
-    result = process("replay", str(SAMPLE), "--format", "live")
-
-    assert (result.returncode, result.stdout) == (2, b"")
-    assert b"needs a terminal" in result.stderr
 
 
 def test_a_capture_without_traffic_can_be_browsed(tmp_path: Path) -> None:

@@ -7,7 +7,6 @@ import select
 import signal
 import socket
 import termios
-from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 
@@ -17,8 +16,6 @@ from hypothesis import strategies as st
 
 from bilprov.analyzer.taps.relay import ImpairedDirection, Noise
 from bilprov.analyzer.transport.port import open_port
-from tests.support.commands import command
-from tests.support.robots import simulate, unwell
 from tests.support.wires import PATIENCE, Running, running
 
 pytestmark = pytest.mark.waits
@@ -281,36 +278,3 @@ def test_a_lost_end_is_two_and_its_last_bytes_arrive(lost: str) -> None:
 
 
 # the suite over the line
-
-
-@pytest.mark.sample(1)
-@pytest.mark.parametrize(
-    ("robot", "faults", "globs", "ends"),
-    [
-        ([], ["--delay", "5"], ["valid/Stop", "bad-data/*"], [0, 3]),
-        *(
-            (
-                ["--fault", fault],
-                ["--drop", "1e-3", "--flip", "1e-3", "--delay", "1"],
-                ["bad-data/LED/8"],
-                [1, 3],
-            )
-            for fault in ("no-stop-on-bad-data", "ok-to-bad-data")
-        ),
-    ],
-    ids=["the reference", "no-stop-on-bad-data", "ok-to-bad-data"],
-)
-def test_the_reference_conforms_over_a_slow_line_and_no_faulty_robot_over_a_bad_one(
-    robot: list[str], faults: list[str], globs: list[str], ends: list[int]
-) -> None:
-    with simulate(*robot) as served, running("lab", "line", *faults, served.port, "pty") as line:
-        (path,) = served_by(line, 1)
-        only = [word for glob in globs for word in ("--only", glob)]
-        probe = ["--probe", served.probe, "--yes", "--level", "smoke", "--json", "-"]
-        result = command("conform", path, *probe, *only, "--truncation-timeout", "50")
-        line.end()
-    assert result.returncode in ends, result.stderr
-    if not robot:
-        found = Counter(unwell(result).values())
-        assert found.pop("skipped") == 1  # it has no power switch
-        assert found in ({}, {"inconclusive": 1})  # what a busy host leaves open is no fault

@@ -15,8 +15,7 @@ from pathlib import Path
 import pytest
 
 from bilprov.analyzer.transport.port import open_port
-from tests.support.commands import command
-from tests.support.robots import PATIENCE, simulate, unwell
+from tests.support.robots import PATIENCE
 from tests.support.wires import running
 
 pytestmark = pytest.mark.waits
@@ -110,16 +109,6 @@ def behind_socat(device: str, folder: Path) -> Iterator[str]:
 Behind = Callable[[str, Path], AbstractContextManager[str]]
 LINES: list[Behind] = [behind_raw_tcp, behind_rfc2217, behind_socat]
 lines = pytest.mark.parametrize("behind", LINES, ids=lambda line: line.__name__)
-
-
-@pytest.mark.sample(1)
-@lines
-def test_the_reference_conforms_behind_it(behind: Behind, tmp_path: Path) -> None:
-    with simulate(pty=True) as served, behind(served.port, tmp_path) as url:
-        # 0xFF, Speed 255, is the byte that telnet escapes.
-        only = ["--only", "valid/Speed/255", "--truncation-timeout", "50"]
-        result = command("conform", url, "--probe", served.probe, "--yes", "--json", "-", *only)
-    assert unwell(result) == {"power-on/Forward": "skipped"}
 
 
 @lines
