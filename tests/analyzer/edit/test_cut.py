@@ -35,7 +35,6 @@ from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.captures import write_capture
-from tests.support.commands import command
 from tests.support.decoding import Event
 from tests.support.traffic import ACTS, SETTINGS, played
 
@@ -242,43 +241,6 @@ def test_a_gap_is_where_the_end_cuts_through_a_frame(
     assert gaps_of(part) == [CUT_THROUGH] * gaps
     kinds = [r.kind for r in read_capture(part, protocol) if isinstance(r, HostRecord)]
     assert kinds == ["garbage" if gaps else "instruction"]
-
-
-def lines_of(path: Path, *options: str) -> list[str]:
-    done = command("replay", "--rate", "0", "--format", "jsonl", *options, str(path))
-    assert done.returncode == 0
-    return done.stdout.decode().splitlines()
-
-
-def done(*words: object, code: int = 0) -> str:
-    """Run a command, which says nothing on standard output; what it says on standard error."""
-    result = command(*map(str, words))
-    assert (result.returncode, result.stdout) == (code, b""), result.stderr
-    return result.stderr.decode()
-
-
-def test_a_part_can_be_cut_again_and_be_converted(tmp_path: Path) -> None:
-    part, again, full = (tmp_path / name for name in ("part.mcap", "again.mcap", "full.mcap"))
-    done("capture", "cut", SAMPLE, part, "--filter", "state.moving")
-    done("capture", "cut", part, again, "--start", "0.2", "--end", "0.7")
-    window = ("--start", "0.2", "--end", "0.7", "--filter", "kind != gap")
-    assert lines_of(again, *window) == lines_of(part, *window)
-    done("capture", "decode", part, full)
-    assert lines_of(full) == lines_of(part)
-    history = open_capture(again).metadata["history"]
-    assert history.count("cut part.mcap --start 0.2 --end 0.7") == 1
-    assert history.startswith("cut examples.mcap --filter state.moving")
-
-
-def test_with_another_grammar_a_part_begins_in_running_traffic(
-    tmp_path: Path, horn: Protocol
-) -> None:
-    part = tmp_path / "part.mcap"
-    done("capture", "cut", SAMPLE, part, "--start", "0.3", "--end", "1.2")
-    other = [record for record in read_capture(part, horn) if is_frame(record)]
-    own = [record for record in read_capture(part) if is_frame(record)]
-    assert [record.hex for record in other] == [record.hex for record in own]
-    assert other[0].sequence == 0 != own[0].sequence
 
 
 def test_a_stop_leaves_nothing(tmp_path: Path, protocol: Protocol) -> None:

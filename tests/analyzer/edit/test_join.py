@@ -103,19 +103,6 @@ def test_a_tap_of_each_side_gives_frames_with_their_answers(
     assert (metadata["port_host"], metadata["port_device"]) == ("/dev/host", "/dev/device")
 
 
-def test_parts_that_do_not_follow_each_other_are_decoded_anew_behind_a_gap(tmp_path: Path) -> None:
-    early, late = tmp_path / "1.mcap", tmp_path / "2.mcap"
-    command("capture", "cut", str(SAMPLE), str(early), "--start", "0.2", "--end", "0.4")
-    command("capture", "cut", str(SAMPLE), str(late), "--start", "5")
-    joined(late, early)
-    frames = [r for r in read_capture(tmp_path / "joined.mcap") if is_frame(r)]
-    whole = [r for r in read_capture(SAMPLE) if is_frame(r)]
-    kept = [r for r in whole if 2e8 <= r.t < 4e8 or r.t >= 5e9]
-    assert [(r.t, r.data) for r in frames] == [(r.t, r.data) for r in kept]
-    gaps = [e for e in open_capture(tmp_path / "joined.mcap").events() if isinstance(e, Line)]
-    assert "2.mcap begins here" in [gap.detail for gap in gaps]
-
-
 def test_the_same_direction_at_the_same_time_is_refused_with_what_to_do(
     protocol: Protocol, tmp_path: Path
 ) -> None:
