@@ -9,20 +9,10 @@ from dataclasses import replace
 from bilprov.analyzer.client.operations import Procedure, finished, interruption, steps
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.captures.schemas import MS
+from bilprov.conformance.cases import levels
 from bilprov.conformance.cases.budget import Pace, before_the_cases, seconds
 from bilprov.conformance.cases.case import Case
-from bilprov.conformance.cases.levels import (
-    CONDITIONAL_CASES,
-    INDEPENDENT_GROUPS,
-    LEVELS,
-    LONGEST_GLOB,
-    SEQUENCE_PREFIXES,
-    AnyCase,
-    level_cases,
-    matching,
-    reaches,
-    single_cases,
-)
+from bilprov.conformance.cases.levels import AnyCase
 from bilprov.conformance.cases.levels import Options as Options
 from bilprov.conformance.cases.single_frames import opening_cases, truncation_timeout
 from bilprov.conformance.causes.explained import Explainer
@@ -55,24 +45,24 @@ def select_cases(grammar: Grammar, options: Options) -> tuple[AnyCase, ...]:
     and for a glob with characters that no id has.
     """
     for glob in options.only:
-        if not glob.isprintable() or len(glob) > LONGEST_GLOB:
+        if not glob.isprintable() or len(glob) > levels.LONGEST_GLOB:
             raise ValueError(
                 f"{glob} is not a glob of case ids, which are letters, digits, - and /, "
-                f"of up to {LONGEST_GLOB} characters; see them with --list"
+                f"of up to {levels.LONGEST_GLOB} characters; see them with --list"
             )
-    if options.only and not reaches(options.only, SEQUENCE_PREFIXES):
-        cases: tuple[AnyCase, ...] = single_cases(grammar, options.level, options.seed)
+    if options.only and not levels.reaches(options.only, levels.SEQUENCE_PREFIXES):
+        cases: tuple[AnyCase, ...] = levels.single_cases(grammar, options.level, options.seed)
     else:
         left_out = frozenset(
             group
-            for group in INDEPENDENT_GROUPS
-            if options.only and not reaches(options.only, (f"{group}/",))
+            for group in levels.INDEPENDENT_GROUPS
+            if options.only and not levels.reaches(options.only, (f"{group}/",))
         )
-        cases = level_cases(
+        cases = levels.level_cases(
             grammar, options.level, options.seed, options.soak, options.extra, left_out
         )
     if options.only:
-        wanted = matching(options.only)
+        wanted = levels.matching(options.only)
         chosen = tuple(case for case in cases if wanted(case.id))
         if not chosen and not any(wanted(case.id) for case in opening_and_reading_cases(grammar)):
             raise ValueError(
@@ -104,7 +94,7 @@ def suite_ids(grammar: Grammar, options: Options) -> tuple[str, ...]:
     """The ids of every case that a run has with these options if nothing is left out."""
     whole = replace(options, only=())
     cases = (*opening_and_reading_cases(grammar), *select_cases(grammar, whole))
-    return (*(case.id for case in cases), *CONDITIONAL_CASES)
+    return (*(case.id for case in cases), *levels.CONDITIONAL_CASES)
 
 
 def conform(
@@ -242,7 +232,7 @@ def suite_steps(
     )
     explains = explainer(run, trace, target.byte_time) if explainer else None
     timeout_case = truncation_timeout(grammar)
-    asked = timeout_case is not None and matching(options.only)(timeout_case.id)
+    asked = timeout_case is not None and levels.matching(options.only)(timeout_case.id)
     runner = Runner(
         run,
         cases,
@@ -282,7 +272,7 @@ def _timers(target: Target, options: Options) -> Timers:
     """The timers of the target's environment with the options applied to them."""
     deadline = options.deadline or target.protocol.timing.answer_deadline
     timers = timers_of(target.environment, target.protocol).due_within(int(deadline * MS))
-    timers = replace(timers, idle=LEVELS[options.level].idle * MS)
+    timers = replace(timers, idle=levels.LEVELS[options.level].idle * MS)
     if options.silence:
         timers = replace(timers, silence=int(options.silence * MS))
     return timers

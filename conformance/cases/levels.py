@@ -17,6 +17,7 @@ from itertools import islice
 from math import ceil
 from typing import NamedTuple, TypeAlias
 
+from bilprov.conformance.cases import contexts, sweeps
 from bilprov.conformance.cases.case import OF_THE_RUN, Case
 from bilprov.conformance.cases.combinations import (
     ARRAY,
@@ -25,28 +26,10 @@ from bilprov.conformance.cases.combinations import (
     Combinations,
     random_sequences,
 )
-from bilprov.conformance.cases.contexts import (
-    AFTER,
-    ALONE,
-    CUT,
-    after_each_kind,
-    left_alone,
-    truncations,
-)
 from bilprov.conformance.cases.proof import GROUP, PROOFS, Proof, proof_sequences
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.cases.single_frames import all_cases
 from bilprov.conformance.cases.steps import FrameClass
-from bilprov.conformance.cases.sweeps import (
-    again_and_again,
-    bad_data_sweep,
-    data_sweep,
-    dense,
-    faults_alone,
-    faults_in_a_row,
-    header_sweep,
-    soak,
-)
 from bilprov.conformance.cases.tours import Tours
 from bilprov.conformance.cases.wheel_order import wheel_orders
 from bilprov.spec.protocol import Protocol
@@ -174,17 +157,17 @@ RANDOM_GROUP = f"{ARRAY}/{RANDOM}"
 
 # In the order in which the sequences run. What a tour covers depends on the tours before it.
 GENERATORS = (
-    Generator("pipelined/dense", (0, 1, 1), lambda of, _: [dense(of.protocol)]),
+    Generator("pipelined/dense", (0, 1, 1), lambda of, _: [sweeps.dense(of.protocol)]),
     Generator(
         "sequence/tour",
         (12, 130, 500),
         _numbered(lambda of, n: of.tours.waited("tour", n, cuts=of.level.cuts * of.cut(n))),
     ),
     Generator(
-        ALONE,
+        contexts.ALONE,
         (1, 1, 10),
         lambda of, n: islice(
-            left_alone(of.protocol, of.seed, n), 1 if of.level.singles == "few" else None
+            contexts.left_alone(of.protocol, of.seed, n), 1 if of.level.singles == "few" else None
         ),
     ),
     Generator(
@@ -198,23 +181,25 @@ GENERATORS = (
         _numbered(lambda of, n: of.tours.pipelined("long", n, 4, (30, 60), cut=True)),
     ),
     Generator("split/tour", (2, 8, 40), _numbered(lambda of, n: of.tours.split("tour", n, 30))),
-    Generator("sequence/data", (0, 1, 1), lambda of, _: data_sweep(of.protocol)),
-    Generator("sequence/bad-data", (0, 1, 1), lambda of, _: bad_data_sweep(of.protocol)),
-    Generator("sequence/headers", (0, 1, 1), lambda of, _: header_sweep(of.protocol)),
+    Generator("sequence/data", (0, 1, 1), lambda of, _: sweeps.data_sweep(of.protocol)),
+    Generator("sequence/bad-data", (0, 1, 1), lambda of, _: sweeps.bad_data_sweep(of.protocol)),
+    Generator("sequence/headers", (0, 1, 1), lambda of, _: sweeps.header_sweep(of.protocol)),
     Generator(
         "sequence/faults-in-a-row",
         (30, 300, 1100),
-        lambda of, count: [faults_in_a_row(of.protocol, of.seed, count)],
+        lambda of, count: [sweeps.faults_in_a_row(of.protocol, of.seed, count)],
     ),
     Generator(
         "sequence/faults-alone",
         (30, 300, 1100),
-        lambda of, count: [faults_alone(of.protocol, of.seed, count)],
+        lambda of, count: [sweeps.faults_alone(of.protocol, of.seed, count)],
     ),
-    Generator("sequence/again", (0, 1, 1), lambda of, _: again_and_again(of.protocol, of.seed)),
+    Generator(
+        "sequence/again", (0, 1, 1), lambda of, _: sweeps.again_and_again(of.protocol, of.seed)
+    ),
     *(Generator(f"{ARRAY}/{word}", (0, 1, 1), _combined(word)) for word in DELIVERED),
-    Generator(AFTER, (0, 1, 5), _in_context(after_each_kind)),
-    Generator(CUT, (0, 1, 10), _in_context(truncations)),
+    Generator(contexts.AFTER, (0, 1, 5), _in_context(contexts.after_each_kind)),
+    Generator(contexts.CUT, (0, 1, 10), _in_context(contexts.truncations)),
     Generator(
         RANDOM_GROUP,
         (0, 20, 200),
@@ -225,8 +210,8 @@ GENERATORS = (
 
 INDEPENDENT_GROUPS = (
     *(f"{ARRAY}/{word}" for word in (*DELIVERED, RANDOM)),
-    AFTER,
-    CUT,
+    contexts.AFTER,
+    contexts.CUT,
     *(f"{GROUP}/{one.name}" for one in PROOFS),
 )
 """The groups of sequences that do not depend on others, and take long to make."""
@@ -261,7 +246,7 @@ def level_cases(
 def _soaked(protocol: Protocol, level: Level, seed: int, faults: int) -> Iterator[SequenceCase]:
     """The sequences of a soak; its random ones go on after those of the level."""
     held = next(row.amount(level) for row in GENERATORS if row.group == RANDOM_GROUP)
-    yield from soak(protocol, seed, faults)
+    yield from sweeps.soak(protocol, seed, faults)
     yield from islice(random_sequences(protocol, seed, held + 1), ceil(faults / _SOAKED))
 
 

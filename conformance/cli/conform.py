@@ -23,15 +23,8 @@ from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.signals import Stopper, ending_requested
 from bilprov.captures.schemas import MS
 from bilprov.captures.text import quantity
-from bilprov.conformance.api import (
-    Options,
-    estimated,
-    opening_and_reading_cases,
-    planned,
-    run_suite,
-    select_cases,
-    suite_ids,
-)
+from bilprov.conformance import api
+from bilprov.conformance.api import Options
 from bilprov.conformance.cases import budget
 from bilprov.conformance.cases.budget import run_movement
 from bilprov.conformance.cases.levels import COMPLETE, LEVELS, STANDARD, AnyCase, matching
@@ -265,11 +258,11 @@ def _planned(protocol: Protocol, options: ConformOptions, last: LastRun) -> _Pla
     profile = read_profile(protocol, known.profile_path, known.allow)
     suite, order = options.suite(profile), ""
     try:
-        cases = select_cases(protocol, suite)
+        cases = api.select_cases(protocol, suite)
         if options.led:
             asked = {case.id for case in _asked(protocol, suite, cases)}
             suite, order = ordered(suite, last, asked, alone=options.cases.last_failed)
-            cases = select_cases(protocol, suite)
+            cases = api.select_cases(protocol, suite)
     except ValueError as error:
         raise click.UsageError(str(error)) from error
     return _Plan(suite, cases, order, last, known.profile_path if not profile else None)
@@ -290,7 +283,7 @@ def _run(
     outputs = outputs_of(options.reports.outputs)
     expected = None
     if known.expect_failures is not None:
-        suite = suite_ids(protocol, plan.suite)
+        suite = api.suite_ids(protocol, plan.suite)
         expected = ExpectedFile(known.expect_failures, suite, update=known.update_expected)
     with ExitStack() as signals:
         report, broken = _tested(protocol, options, name, settings, plan, signals)
@@ -330,7 +323,7 @@ def _console(outputs: Sequence[Output]) -> Console:
 def _asked(protocol: Protocol, suite: Options, cases: Sequence[AnyCase]) -> list[AnyCase]:
     """The cases that are asked for, with those that every run has where they are."""
     wanted = matching(suite.only or "*")
-    return [c for c in (*opening_and_reading_cases(protocol), *cases) if wanted(c.id)]
+    return [c for c in (*api.opening_and_reading_cases(protocol), *cases) if wanted(c.id)]
 
 
 def _tested(
@@ -350,7 +343,7 @@ def _tested(
 
     robot, record, suite = options.robot, options.reports.record, plan.suite
     asks = robot.probe == ASK
-    count = planned(protocol, suite, plan.cases)
+    count = api.planned(protocol, suite, plan.cases)
 
     def agreed(target: Target) -> Target:
         target = asked(target)
@@ -359,7 +352,7 @@ def _tested(
 
     def asked(target: Target) -> Target:
         complete = suite.level == COMPLETE.name
-        seconds = estimated(target, suite, plan.cases) if target.moves or complete else 0.0
+        seconds = api.estimated(target, suite, plan.cases) if target.moves or complete else 0.0
         if complete:
             groups = {budget.group(case.id) for case in plan.cases}
             said = announcement(protocol, suite.extra, groups)
@@ -394,7 +387,7 @@ def _tested(
             listeners.append(stack.enter_context(recorder))
         progress = Progress(count, shown=not asks)
         listeners.append(stack.enter_context(progress))
-        report = run_suite(target, suite, listeners)
+        report = api.run_suite(target, suite, listeners)
     broken = next((listener.broken for listener in listeners if listener.broken), None)
     return _dated(report, start), broken
 

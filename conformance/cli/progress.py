@@ -5,14 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from rich import progress
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    ProgressColumn,
-    TextColumn,
-    TimeRemainingColumn,
-)
 from rich.progress import Progress as Bar
 
 from bilprov.captures.closing import Closing
@@ -20,14 +14,14 @@ from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.runner.listeners.listener import RunListener
 
 
-def bar(*columns: ProgressColumn, shown: bool = True) -> Bar:
+def bar(*columns: progress.ProgressColumn, shown: bool = True) -> Bar:
     """A progress bar on standard error, with a description first; shown on a terminal only."""
     console = Console(stderr=True)
     return Bar(
-        TextColumn("{task.description}", markup=False),  # a case has names of the grammar
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
+        progress.TextColumn("{task.description}", markup=False),  # a case has names of the grammar
+        progress.BarColumn(),
+        progress.MofNCompleteColumn(),
+        progress.TimeRemainingColumn(),
         *columns,
         console=console,
         transient=True,
@@ -50,7 +44,7 @@ class Progress(Closing, RunListener):
     """
 
     def __init__(self, total: int, *, shown: bool = True) -> None:
-        self._bar = bar(TextColumn("{task.fields[failed]}"), shown=shown)
+        self._bar = bar(progress.TextColumn("{task.fields[failed]}"), shown=shown)
         self._task = self._bar.add_task("", total=total, failed="")
         self._total, self._done, self._failed = total, 0, 0
         self._bar.start()

@@ -14,15 +14,9 @@ from rich.console import Console
 
 from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.client.probes import ProbeError
+from bilprov.analyzer.transport import replug
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import LineSettings
-from bilprov.analyzer.transport.replug import (
-    LOOK_AGAIN,
-    ConnectionWatch,
-    PathWatch,
-    Place,
-    opened_when_there,
-)
 from bilprov.analyzer.transport.signals import Stopper, ending_requested
 from bilprov.captures.text import quantity
 from bilprov.conformance.cli.last_run import LastRun, Run, failed_cases
@@ -72,11 +66,11 @@ class Comeback:
 
     def __init__(self, name: TargetName, settings: LineSettings, file: str | None) -> None:
         self.name = name
-        self._port: PathWatch | ConnectionWatch | None = None
+        self._port: replug.PathWatch | replug.ConnectionWatch | None = None
         if name.text.lower().startswith(_NETWORK):
-            self._port = ConnectionWatch(name.text, settings)
-        elif name.kind == PORT and Place(name.text).lasts:
-            self._port = PathWatch(name.text)
+            self._port = replug.ConnectionWatch(name.text, settings)
+        elif name.kind == PORT and replug.Place(name.text).lasts:
+            self._port = replug.PathWatch(name.text)
         watched = [Path(file)] if file else [] if name.kind in (PORT, SIM) else [name.firmware]
         self._files = [FileWatch(path) for path in watched]
         if not (self._port or self._files):
@@ -102,7 +96,7 @@ class Comeback:
             if changed:
                 note(f"{changed[0]} has changed")
                 break
-            select.select([stopper], [], [], LOOK_AGAIN)
+            select.select([stopper], [], [], replug.LOOK_AGAIN)
 
     def begin(self, *, lost: bool) -> None:
         """The run is over and its port closed; `lost` where that was why it ended."""
@@ -135,7 +129,9 @@ def watch(first: Run, again: Again, comeback: Comeback, console: Console) -> int
                 comeback.wait(stopper)
                 comeback.end()
                 open_it = partial(again, comeback.name, run.after)
-                next_run = opened_when_there(open_it, lambda: stopper.stopped, note, absent=_ABSENT)
+                next_run = replug.opened_when_there(
+                    open_it, lambda: stopper.stopped, note, absent=_ABSENT
+                )
                 if next_run is None:
                     break
                 number, run = number + 1, next_run

@@ -15,21 +15,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from bilprov.analyzer.client.operations import (
-    HELD_ANSWERS,
-    OPERATION_NAMES,
-    Ended,
-    LinkListener,
-    Listen,
-    Observation,
-    Observe,
-    Operation,
-    PowerCycle,
-    Received,
-    Reconnected,
-    Reply,
-    Send,
-)
+from bilprov.analyzer.client import operations
 from bilprov.analyzer.files import from_json
 from bilprov.captures import topics
 from bilprov.captures.reader import Message
@@ -171,7 +157,9 @@ class VirtualLink:
     `byte_time` is the time of one byte on the wire in ns.
     """
 
-    def __init__(self, device: Device, byte_time: int, tap: LinkListener | None = None) -> None:
+    def __init__(
+        self, device: Device, byte_time: int, tap: operations.LinkListener | None = None
+    ) -> None:
         self._device = device
         self._byte_time = byte_time
         self._tap = tap
@@ -184,14 +172,14 @@ class VirtualLink:
         """The virtual time (ns) since the link was made."""
         return self._now
 
-    def do(self, operation: Operation) -> Reply:
+    def do(self, operation: operations.Operation) -> operations.Reply:
         """Do one operation at once. Raises DeviceError for a deadline that does not advance."""
         match operation:
-            case Send(data):
+            case operations.Send(data):
                 if self._tap:
                     self._tap.sent(data, self._now)
                 return self._send(data)
-            case Listen(count, patience):
+            case operations.Listen(count, patience):
                 until = self._now + patience
                 self._collect()  # also what is there already, if `patience` is 0
                 while self._now < until and (count is None or len(self._heard) < count):
@@ -206,17 +194,17 @@ class VirtualLink:
                 if heard:
                     # An answer takes a byte's time on the wire: the host sends only after it.
                     self._ready = heard[-1][0] + self._byte_time
-                return Received(heard[:HELD_ANSWERS], self._now)
-            case PowerCycle():
+                return operations.Received(heard[: operations.HELD_ANSWERS], self._now)
+            case operations.PowerCycle():
                 power = getattr(self._device, "power_cycle")  # noqa: B009  # not every device has
                 power(self._now)
                 self._heard.clear()
                 return self._now
-            case Observe():
+            case operations.Observe():
                 look = self._device.look(self._now)
                 if self._tap:
                     self._tap.looked(look)
-                return Observation(self._now, self._now, look)
+                return operations.Observation(self._now, self._now, look)
 
     def _send(self, data: bytes) -> int:
         """Send bytes, each with its time on the wire; return when (ns) the last one arrived."""
@@ -293,12 +281,12 @@ class RecordedLink:
 
     def interrupted(self) -> bool | str:
         """Whether the run was interrupted before its next operation; why, if the kit failed."""
-        if self._next is None or self._next.asked.ask != OPERATION_NAMES[type(None)]:
+        if self._next is None or self._next.asked.ask != operations.OPERATION_NAMES[type(None)]:
             return False
         asked = self._take(self._next).asked
         return str(asked.ended) if asked.error else True
 
-    def do(self, operation: Operation) -> Reply:
+    def do(self, operation: operations.Operation) -> operations.Reply:
         """Reply as it was recorded.
 
         Raises Ended where the operation could not be done, or the recording ends; Strayed where
@@ -307,36 +295,36 @@ class RecordedLink:
         step = self._next
         if step is None:
             self.cut = True
-            raise Ended(CUT, error=False, line_works=False)
+            raise operations.Ended(CUT, error=False, line_works=False)
         self._check(operation, step)
         asked = self._take(step).asked
         if asked.ended is not None and asked.lost is not None:
             self._heard.clear()
-            raise Reconnected(asked.ended, asked.lost, asked.t)
+            raise operations.Reconnected(asked.ended, asked.lost, asked.t)
         if asked.ended is not None:
             works = bool(asked.line_works)
-            raise Ended(asked.ended, error=bool(asked.error), line_works=works)
+            raise operations.Ended(asked.ended, error=bool(asked.error), line_works=works)
         match operation:
-            case Listen():
+            case operations.Listen():
                 heard, self._heard = self._heard, []
-                return Received(tuple(heard[:HELD_ANSWERS]), asked.t)
-            case Observe():
+                return operations.Received(tuple(heard[: operations.HELD_ANSWERS]), asked.t)
+            case operations.Observe():
                 assert step.look is not None
                 assert asked.begun is not None
-                return Observation(asked.begun, asked.t, step.look)
-            case PowerCycle():
+                return operations.Observation(asked.begun, asked.t, step.look)
+            case operations.PowerCycle():
                 self._heard = []
         return asked.t
 
-    def _check(self, operation: Operation, step: _Step) -> None:
-        name, recorded = OPERATION_NAMES[type(operation)], step.asked
-        wanted = operation.data if isinstance(operation, Send) else b""
+    def _check(self, operation: operations.Operation, step: _Step) -> None:
+        name, recorded = operations.OPERATION_NAMES[type(operation)], step.asked
+        wanted = operation.data if isinstance(operation, operations.Send) else b""
         if recorded.ask != name:
             raise Strayed(f"{self._where} is {recorded.ask!r}, the kit now asks for {name!r}")
         if step.sent != wanted and (recorded.ended is None or step.sent):
             raise Strayed(f"{self._where} sends {_hex(step.sent)}, the kit now {_hex(wanted)}")
         seen = step.look is not None and recorded.begun is not None
-        if isinstance(operation, Observe) and recorded.ended is None and not seen:
+        if isinstance(operation, operations.Observe) and recorded.ended is None and not seen:
             raise Strayed(f"{self._where} is an observation, but nothing was observed")
 
     @property

@@ -19,14 +19,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from bilprov.conformance.dut.simulator import Event, Fault, React
-from bilprov.conformance.mutation.effects import (
-    EFFECTS,
-    WATCHING,
-    at_frames,
-    does_effect,
-    does_watching,
-    then,
-)
+from bilprov.conformance.mutation import effects
 from bilprov.conformance.mutation.hooks import HOOKS
 from bilprov.conformance.mutation.triggers import OUTCOMES, number_or_word, trigger
 from bilprov.spec.by_effect import movers, moving_motions, setters, variable_of
@@ -227,17 +220,17 @@ def hooks(protocol: Protocol, row: Row) -> dict[str, Any]:
     for part in row.what.split(";"):
         word, *arguments = part.split()
         given = [number_or_word(argument) for argument in arguments]
-        if word in EFFECTS:
-            gated.append(does_effect(word, *given))
-        elif word in WATCHING:
-            others.append(does_watching(word, acting, *given))
+        if word in effects.EFFECTS:
+            gated.append(effects.does_effect(word, *given))
+        elif word in effects.WATCHING:
+            others.append(effects.does_watching(word, acting, *given))
         else:
             found = HOOKS[word](protocol, acting, *given)
             others += [found.pop("react")] if "react" in found else []
             made |= found
-    reacts = ([at_frames(acting, then(*gated))] if gated else []) + others
+    reacts = ([effects.at_frames(acting, effects.then(*gated))] if gated else []) + others
     if reacts:
-        made["react"] = then(*reacts) if len(reacts) > 1 else reacts[0]
+        made["react"] = effects.then(*reacts) if len(reacts) > 1 else reacts[0]
     return made
 
 

@@ -29,13 +29,7 @@ from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.signals import ENDINGS, Stopper, handled, unhandled
 from bilprov.captures.schemas import MS, Look
-from bilprov.conformance.api import (
-    Options,
-    estimated,
-    opening_and_reading_cases,
-    select_cases,
-    suite_steps,
-)
+from bilprov.conformance import api
 from bilprov.conformance.cases.levels import LEVELS, STANDARD, AnyCase
 from bilprov.conformance.dut.boards import EmulatorError
 from bilprov.conformance.dut.target import SIM, Target, open_target, target_named
@@ -144,12 +138,12 @@ class Bench(RunListener):
     @cached_property
     def cases(self) -> tuple[AnyCase, ...]:
         """The cases of the options, which take seconds to make. Raises as `select_cases` does."""
-        return select_cases(self.protocol, self.options)
+        return api.select_cases(self.protocol, self.options)
 
     @cached_property
     def order(self) -> Mapping[str, int]:
         """The ids of the cases with their places in a run. Raises as `select_cases` does."""
-        cases = (*opening_and_reading_cases(self.protocol), *self.cases)
+        cases = (*api.opening_and_reading_cases(self.protocol), *self.cases)
         return {case.id: at for at, case in enumerate(cases)}
 
     def open(self, confirm: Callable[[Target], None]) -> None:
@@ -227,10 +221,10 @@ class Bench(RunListener):
         finally:
             self._going = False
 
-    def _steps(self, options: Options) -> Generator[None]:
+    def _steps(self, options: api.Options) -> Generator[None]:
         with self._opened() as target:
             self.link = target.environment.link
-            self.report = yield from suite_steps(target, options, [self])
+            self.report = yield from api.suite_steps(target, options, [self])
 
     def end(self, result: CaseResult) -> None:
         """A case is final."""
@@ -414,7 +408,7 @@ class RobotSession:
         if self._left:
             left = set(self._left)
             chosen = [case for case in self.bench.cases if case.id in left]
-            seconds = estimated(target, self.bench.options, chosen)
+            seconds = api.estimated(target, self.bench.options, chosen)
             what = f"the robot at {self.bench.target} will move for about {seconds:.0f} s"
         words = effect_words(self.bench.protocol)
         capture = self._config.pluginmanager.getplugin("capturemanager")
@@ -496,7 +490,7 @@ def _require_one_process(config: pytest.Config) -> None:
         raise pytest.UsageError("one port takes one process: leave -n out with --robot-port")
 
 
-def _options(protocol: Protocol, option: Callable[[str], Any]) -> Options:
+def _options(protocol: Protocol, option: Callable[[str], Any]) -> api.Options:
     """The options of the run. Raises ValueError for a level or a choice that there is not."""
     seed, level = option("robot_seed"), option("robot_level") or STANDARD.name
     if level not in LEVELS:
@@ -505,7 +499,7 @@ def _options(protocol: Protocol, option: Callable[[str], Any]) -> Options:
         )
     allow = tuple(option("robot_allow") or ())
     parse_allowed(protocol, allow)
-    return Options(
+    return api.Options(
         only=tuple(option("robot_only") or ()),
         seed=1 if seed is None else seed,
         level=level,

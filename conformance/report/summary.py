@@ -11,16 +11,7 @@ from rich.text import Text
 
 from bilprov.captures.text import quantity
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
-from bilprov.conformance.report.grouping import (
-    Row,
-    by_group,
-    by_reason,
-    changed_cases,
-    changed_causes,
-    names,
-    rows,
-    tally,
-)
+from bilprov.conformance.report import grouping
 from bilprov.conformance.report.run_report import STYLES, Report, conclusion, evidence, run_facts
 
 # The verdicts whose cases are listed, the first one's only if every case is asked for.
@@ -137,7 +128,7 @@ def _facts(report: Report) -> Iterator[str]:
 
 
 def _table(report: Report) -> Table:
-    total = tally(report.results)
+    total = grouping.tally(report.results)
     columns = list(reversed(total))
     title = f"{report.device}, {report.grammar.name} {report.grammar.version}"
     table = Table(title=Text(title, "table.title"))
@@ -145,9 +136,9 @@ def _table(report: Report) -> Table:
     for verdict in columns:
         heading = _HEADINGS.get(verdict, verdict.label)
         table.add_column(heading, justify="right", style=STYLES[verdict], no_wrap=True)
-    groups = by_group(report.results)
+    groups = grouping.by_group(report.results)
     for name, results in groups.items():
-        counts = tally(results)
+        counts = grouping.tally(results)
         table.add_row(Text(name), *(str(counts.get(v, "")) for v in columns))
     if len(groups) > 1:
         table.add_section()
@@ -157,14 +148,14 @@ def _table(report: Report) -> Table:
 
 def _reasons(found: list[CaseResult], console: Console) -> None:
     """The inconclusive cases by reason, because many cases often share one."""
-    for cases, first, reason in by_reason(found)[:_REASONS]:
+    for cases, first, reason in grouping.by_reason(found)[:_REASONS]:
         line = Text(f"inconclusive {cases}", STYLES[Verdict.INCONCLUSIVE])
         console.print(line.append(f" ({first} is the first): {reason}", "default"))
 
 
 def _cases(found: list[CaseResult], console: Console, most: int) -> None:
     """Print the first `most` cases of each group in full, and how many others there are."""
-    for name, results in by_group(found).items():
+    for name, results in grouping.by_group(found).items():
         for result in results[:most]:
             _case(result, console)
         left = len(results) - most
@@ -184,10 +175,10 @@ def _case(result: CaseResult, console: Console) -> None:
         (f"  {result.clause}", "dim"),
     )
     console.print(head)
-    rows = [("", result.requirement), *evidence(result)]
+    lines = [("", result.requirement), *evidence(result)]
     if result.sends:
-        rows.append(("again", result.reproduce))
-    for label, words in rows:
+        lines.append(("again", result.reproduce))
+    for label, words in lines:
         line = Text.assemble((f"      {label:10}" if label else "      ", "dim"), words)
         # A terminal joins what it wrapped itself when the line is copied.
         console.print(line, soft_wrap=label in ("sent", "again"))
@@ -198,10 +189,10 @@ def show_compared(reports: Sequence[Report], console: Console, *, everything: bo
 
     `everything` lists every case on which they differ.
     """
-    told = names(reports)
-    cases = rows(reports)
+    told = grouping.names(reports)
+    cases = grouping.rows(reports)
     console.print(_compared(told, cases))
-    failing = changed_cases(cases)
+    failing = grouping.changed_cases(cases)
     known = {ident for ids in failing.values() for ident in ids}
     differing = [row for row in cases if row.differs and row.id not in known]
     shown = differing if everything else differing[:_DIFFERING]
@@ -215,7 +206,7 @@ def show_compared(reports: Sequence[Report], console: Console, *, everything: bo
         console.print(Text(f"and {left} more differ; --verbose lists them", "dim"))
     for change, ids in failing.items():
         _changed(change, ids, console, len(ids) if everything else _CHANGED)
-    for change, cause, before in changed_causes(reports[0].causes, reports[-1].causes):
+    for change, cause, before in grouping.changed_causes(reports[0].causes, reports[-1].causes):
         console.print(Text.assemble((f"cause {change}", "bold"), f"  {cause.sentence}"))
         if before:
             console.print(Text.assemble(("      before    ", "dim"), before))
@@ -232,12 +223,12 @@ def _changed(change: str, ids: Sequence[str], console: Console, most: int) -> No
     console.print(Text.assemble(head, f"  {', '.join(ids[:most])}{more}"))
 
 
-def _compared(told: Sequence[str], cases: Sequence[Row]) -> Table:
+def _compared(told: Sequence[str], cases: Sequence[grouping.Row]) -> Table:
     table = Table()
     table.add_column("cases")
     for name in told:
         table.add_column(Text(name))
-    groups = by_group(cases)
+    groups = grouping.by_group(cases)
     for group, found in groups.items():
         table.add_row(Text(group), *(_cell(found, index) for index in range(len(told))))
     if len(groups) > 1:
@@ -246,12 +237,12 @@ def _compared(told: Sequence[str], cases: Sequence[Row]) -> Table:
     return table
 
 
-def _cell(found: Sequence[Row], index: int) -> Text:
+def _cell(found: Sequence[grouping.Row], index: int) -> Text:
     """One report's verdicts on some cases, the worst first."""
     results = [row.results[index] for row in found]
     parts = [
         Text(f"{count} {verdict.label}", STYLES[verdict])
-        for verdict, count in tally(results).items()
+        for verdict, count in grouping.tally(results).items()
     ]
     missing = results.count(None)
     if missing:

@@ -11,26 +11,15 @@ from dataclasses import replace
 from math import inf
 
 from bilprov.analyzer.client.operations import Ended, Procedure, Reconnected, followed
-from bilprov.conformance.cases.budget import (
-    Pace,
-    before_the_cases,
-    faults_of,
-    group,
-    seconds,
-    waits_in_vain,
-    within,
-)
+from bilprov.conformance.cases import budget
+from bilprov.conformance.cases.budget import Pace
 from bilprov.conformance.cases.levels import AnyCase
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
 from bilprov.conformance.runner.discovery.discover import discover
 from bilprov.conformance.runner.discovery.state import first_choices
 from bilprov.conformance.runner.homing import find_speed, home, home_again, leave, see_motions
 from bilprov.conformance.runner.power_on import calibrate, first_bytes
-from bilprov.conformance.runner.probe_trust.probe_check import (
-    first_looks,
-    note_no_stop,
-    settle_failures,
-)
+from bilprov.conformance.runner.probe_trust import probe_check
 from bilprov.conformance.runner.retry import TRUSTED, Attempt, judge_case
 from bilprov.conformance.runner.run import Run, result_of
 from bilprov.conformance.runner.settings import other_settings
@@ -105,7 +94,7 @@ class Runner:
             self.ended = self.ended or stopped
         run.release(str(self.ended or ""))
         run.tell_doubt()
-        note_no_stop(run)
+        probe_check.note_no_stop(run)
 
     def _judge_all(self) -> Procedure[None]:
         run = self.run
@@ -119,7 +108,7 @@ class Runner:
             yield from calibrate(run)
             self._tell_slow()
             yield from home(run)
-            yield from first_looks(run)
+            yield from probe_check.first_looks(run)
             yield from see_motions(run)
             if run.profile.moves == set():
                 motion = yield from other_settings(run)
@@ -130,7 +119,7 @@ class Runner:
             if self._discover:
                 yield from discover(run)
             self._tell_notices()
-            yield from settle_failures(run)
+            yield from probe_check.settle_failures(run)
             self._fit()
             self._tell_longer()
             while self._left and not self._enough():
@@ -148,7 +137,7 @@ class Runner:
                 self._left.pop(0)
                 run.publish(judged.result)
                 if not judged.stopped:
-                    yield from settle_failures(run)
+                    yield from probe_check.settle_failures(run)
                 if isinstance(judged.stopped, Reconnected):
                     label = judged.result.verdict.label
                     run.note(f"{judged.stopped}; {case.id}: {label}, and the run goes on")
@@ -190,7 +179,7 @@ class Runner:
         if virtual and not told:
             return
         cases = sum(map(self._cost, self._left))
-        more = min(cases, self._whole) + (before_the_cases(pace) if self._discover else 0.0)
+        more = min(cases, self._whole) + (budget.before_the_cases(pace) if self._discover else 0.0)
         about = f"the run takes about {more:.0f} s more"
         if cases > self._whole:
             about = (
@@ -222,19 +211,21 @@ class Runner:
         if run.config.virtual:
             return
         usual = replace(pace, timeout=run.protocol.timing.truncation_timeout / 1000)
-        cases = sum(seconds(run.protocol, case, usual) for case in self._left)
+        cases = sum(budget.seconds(run.protocol, case, usual) for case in self._left)
         found = {
             f"ends a frame that was cut short only after {pace.timeout * 1e3:.0f} ms": (
                 sum(map(self._cost, self._left)) - cases
             )
         }
         if profile.keeps_waiting:
-            wasted = waits_in_vain(self._left, run.protocol.timing.answer_longest / 1000, TRUSTED)
+            wasted = budget.waits_in_vain(
+                self._left, run.protocol.timing.answer_longest / 1000, TRUSTED
+            )
             most = run.timers.waiting_budget
             vain = wasted if most is None else min(wasted, most / 1e9)
             found["never gives up a frame that was cut short"] = vain
         if profile.flushes:
-            pauses = sum(map(faults_of, self._left)) * run.waiting.idle / 1e9
+            pauses = sum(map(budget.faults_of, self._left)) * run.waiting.idle / 1e9
             found["discards what follows a fault until the line is idle"] = pauses
         longer = {what: more for what, more in found.items() if more >= _MENTIONED}
         if longer:
@@ -270,7 +261,7 @@ class Runner:
 
     def _cost(self, case: AnyCase) -> float:
         """About how long (s) a case takes with this device."""
-        return seconds(self.run.protocol, case, self._pace())
+        return budget.seconds(self.run.protocol, case, self._pace())
 
     def _fit(self) -> None:
         """Skip the cases for which a slow device or probe leaves no time.
@@ -280,11 +271,11 @@ class Runner:
         run = self.run
         if self._whole == inf or not self._is_slow:
             return
-        kept = {c.id for c in within(run.protocol, self._left, self._whole, self._cost)}
+        kept = {c.id for c in budget.within(run.protocol, self._left, self._whole, self._cost)}
         why = f"{self._slow_words(self._pace())}: {self._whole:.0f} s are too short for every case"
-        tested = {group(ident) for ident in kept}
+        tested = {budget.group(ident) for ident in kept}
         for case in [case for case in self._left if case.id not in kept]:
-            skipped = group(case.id) in tested
+            skipped = budget.group(case.id) in tested
             verdict = Verdict.SKIPPED if skipped else Verdict.INCONCLUSIVE
             run.conclude(case, {"answer": Axis(verdict, "", "not run", why)})
         self._left = [case for case in self._left if case.id in kept]
