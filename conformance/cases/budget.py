@@ -191,15 +191,11 @@ def run_movement(protocol: Protocol, cases: Sequence[AnyCase], *, looks: bool) -
     With `looks` the opening tries every kind of motion at the greatest speed, to see it move.
     """
     tested = chain.from_iterable(_frames(protocol, case) for case in cases)
-    return movement_of(protocol, chain(_opening(protocol, looks=looks), tested))
-
-
-def _opening(protocol: Protocol, *, looks: bool) -> Iterator[bytes]:
-    yield from filter(None, link_check(protocol))
     first = motion_first(protocol)
-    yield from first.sent if first else ()
+    opening = [*filter(None, link_check(protocol)), *(first.sent if first else ())]
     for spec in movers(protocol) if looks else ():
-        yield from frames_to(protocol, full_state(protocol, spec))
+        opening += frames_to(protocol, full_state(protocol, spec))
+    return movement_of(protocol, chain(opening, tested))
 
 
 def _frames(protocol: Protocol, case: AnyCase) -> Iterator[bytes]:

@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 from bilprov.conformance.cases.steps import Step, framed
 from bilprov.conformance.machines.wp_method import Mealy, Output, explore, input_classes, minimal
-from bilprov.spec.data import FieldSpec
 from bilprov.spec.errors import UserError
 from bilprov.spec.motion import visible_motion
 from bilprov.spec.protocol import Protocol
@@ -175,7 +174,10 @@ class _Frames:
         spec = self._protocol.by_id[self._protocol.headers[position.header][0]]
         data = self._examples[position] + bytes([byte])
         field = next(field for field in spec.fields if field.offset == len(data) - 1)
-        after = _Data(position.header, (*position.classes, _class_of(field, byte)))
+        # A field's values are one class where they are alike in range and in sign.
+        value = field.parse(bytes([byte]))
+        kind = sum(value >= bound for bound in (field.low, 0, 1, field.high + 1))
+        after = _Data(position.header, (*position.classes, kind))
         self._examples.setdefault(after, data)
         return after
 
@@ -191,12 +193,6 @@ class _Frames:
             signs = ((name, (v > 0) - (v < 0)) for name, v in effect.values.items())
             self._ends[position] = _End(_code(step), effect.effect, tuple(signs))
         return self._ends[position]
-
-
-def _class_of(field: FieldSpec, byte: int) -> int:
-    """The class of a field's value: whether it is in range, and its sign."""
-    value = field.parse(bytes([byte]))
-    return sum(value >= bound for bound in (field.low, 0, 1, field.high + 1))
 
 
 def _code(step: Step) -> int:

@@ -208,9 +208,12 @@ def _complete(protocol: Protocol, inputs: Inputs, turn: int) -> Iterator[_Contex
             data = _marked(length, place + number + turn)
             yield kind, framed(protocol, identity, length, data)
         for visit in range(visits):
-            data = _rotating(length, visit + visits * (place + turn))
+            # In turn each of the 256 values stands first, second and last.
+            start = _ODD * (visit + visits * (place + turn))
+            values = [(start + 97 * at) % 256 for at in range(length)]
+            values[-1:] = [(start + 201) % 256] if length > 1 else values[-1:]
             kind = moving[(visit + place + turn) % len(moving)]
-            yield kind, framed(protocol, identity, length, data)
+            yield kind, framed(protocol, identity, length, bytes(values))
     for spec in protocol.instructions:
         steps = list(frames_of(protocol, spec.name))
         bad = frames_of(protocol, FrameClass.BAD_DATA)
@@ -263,13 +266,6 @@ def _is_marked(step: Step) -> bool:
 def _marked(length: int, turn: int) -> bytes:
     """Data of marked values; in turn each of them stands at each place."""
     return bytes(MARKED[(turn + 3 * place) % len(MARKED)] for place in range(length))
-
-
-def _rotating(length: int, turn: int) -> bytes:
-    """Data of any values; in turn each of the 256 stands first, second and last."""
-    data = bytearray((_ODD * turn + 97 * place) % 256 for place in range(length))
-    data[-1:] = [(_ODD * turn + 201) % 256] if length > 1 else data[-1:]
-    return bytes(data)
 
 
 class _Walk:

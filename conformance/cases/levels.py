@@ -236,18 +236,15 @@ def level_cases(
     machine the level `complete` allows a device. `left_out` are groups of `INDEPENDENT_GROUPS`
     that are not made. Raises UserError where `extra` takes too many sequences.
     """
+    level = LEVELS[name]
+    # The random sequences of a soak go on after those of the level.
+    held = next(row.amount(level) for row in GENERATORS if row.group == RANDOM_GROUP)
     return (
         *single_cases(protocol, name, seed),
-        *_sequences(protocol, LEVELS[name], seed, extra, left_out),
-        *_soaked(protocol, LEVELS[name], seed, soaked),
+        *_sequences(protocol, level, seed, extra, left_out),
+        *sweeps.soak(protocol, seed, soaked),
+        *islice(random_sequences(protocol, seed, held + 1), ceil(soaked / _SOAKED)),
     )
-
-
-def _soaked(protocol: Protocol, level: Level, seed: int, faults: int) -> Iterator[SequenceCase]:
-    """The sequences of a soak; its random ones go on after those of the level."""
-    held = next(row.amount(level) for row in GENERATORS if row.group == RANDOM_GROUP)
-    yield from sweeps.soak(protocol, seed, faults)
-    yield from islice(random_sequences(protocol, seed, held + 1), ceil(faults / _SOAKED))
 
 
 @lru_cache(maxsize=8)

@@ -89,7 +89,11 @@ def step_of(protocol: Protocol, frame: bytes) -> Step:
     identity, length = protocol.headers[frame[0]]
     spec, data = protocol.by_id.get(identity), frame[1:]
     if len(data) < length:
-        return _truncated(protocol, frame, spec, length)
+        cut, outcome = "R-truncated-unused", Outcome.UNKNOWN_ID
+        if spec:
+            cut = "R-truncated-long" if length > spec.length else "R-truncated-known"
+            outcome = Outcome.TOO_FEW
+        return _faulty(protocol, frame, FrameClass.TRUNCATED, outcome, cut)
     if spec is None:
         point = "R-unused-length" if length else ""
         return _faulty(protocol, frame, FrameClass.UNUSED_ID, Outcome.UNKNOWN_ID, point)
@@ -106,16 +110,6 @@ def step_of(protocol: Protocol, frame: bytes) -> Step:
     accepted = (Accepted((code_of(protocol, Outcome.VALID),)),)
     effect = FrameEffect(spec.effect, spec.decode(data))
     return Step(frame, FrameClass.VALID, accepted, effect, protocol.clauses.instructions)
-
-
-def _truncated(protocol: Protocol, frame: bytes, spec: InstructionSpec | None, length: int) -> Step:
-    """A frame of which fewer bytes arrive than it announces."""
-    outcome = Outcome.TOO_FEW if spec else Outcome.UNKNOWN_ID
-    if spec is None:
-        point = "R-truncated-unused"
-    else:
-        point = "R-truncated-long" if length > spec.length else "R-truncated-known"
-    return _faulty(protocol, frame, FrameClass.TRUNCATED, outcome, point)
 
 
 def _faulty(

@@ -122,7 +122,9 @@ class Runner:
             yield from probe_check.settle_failures(run)
             self._fit()
             self._tell_longer()
-            while self._left and not self._enough():
+            while self._left:
+                if self._fail_fast and any(r.verdict is Verdict.FAIL for r in run.results):
+                    break
                 case = self._left[0]
                 if self._spare and self._spare(case.id, run.results):
                     self._result(Verdict.SKIPPED, "not run", "spared")
@@ -279,9 +281,6 @@ class Runner:
             verdict = Verdict.SKIPPED if skipped else Verdict.INCONCLUSIVE
             run.conclude(case, {"answer": Axis(verdict, "", "not run", why)})
         self._left = [case for case in self._left if case.id in kept]
-
-    def _enough(self) -> bool:
-        return self._fail_fast and any(r.verdict is Verdict.FAIL for r in self.run.results)
 
     def _not_run(self, verdict: Verdict, reason: str) -> None:
         while self._left:

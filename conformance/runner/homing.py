@@ -120,7 +120,10 @@ def _home(run: Run, trial: Trial | None, late: list[Late]) -> Procedure[int | No
     first: int | None = None
     for count in () if run.profile.one_by_one else at_once:
         yield from send(stops(run.protocol)[:count])
-        got = yield from _as_they_come(run, count, patience, settle)
+        due_answers = yield from waiting.all_answers(count, patience)
+        if len(due_answers.answers) < count:
+            waiting.in_vain(patience)
+        got = due_answers.answers + (yield from listen(None, settle)).answers
         first = next((code for _, code in got), None) if first is None else first
         # What is owed to the stops before is late, and neither lost nor unasked.
         belated = min(owed, max(0, len(got) - count))
@@ -152,17 +155,6 @@ def _home(run: Run, trial: Trial | None, late: list[Late]) -> Procedure[int | No
     late.append(Late((), "the device stopped answering"))
     after = f"after {trial.case.id}" if trial else "before the first case"
     raise GaveUp(f"the device stopped answering {after}")
-
-
-def _as_they_come(
-    run: Run, due: int, patience: int, settle: int
-) -> Procedure[tuple[tuple[int, int], ...]]:
-    """Listen for `due` answers, each for `patience` ns, and for what follows in `settle` ns."""
-    got = yield from run.waiting.all_answers(due, patience)
-    if len(got.answers) < due:
-        run.waiting.in_vain(patience)
-    more = yield from listen(None, settle)
-    return got.answers + more.answers
 
 
 def _too_many(run: Run, extra: tuple[tuple[int, int], ...], late: list[Late]) -> Procedure[None]:

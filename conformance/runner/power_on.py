@@ -80,7 +80,13 @@ def first_bytes(run: Run) -> Procedure[str]:
         if first:
             axes["state"] = yield from _still(run, case.expected, "")
             if axes["state"].verdict is Verdict.FAIL:
-                axes["state"] = yield from _still_again(run, case, axes["state"])
+
+                def moves(case: Case = case) -> Procedure[bool]:
+                    yield from _exchange(run, case, 0)
+                    return (yield from _still(run, case.expected, "")).verdict is Verdict.FAIL
+
+                again = yield from confirm(run, case_bytes(case), moves)
+                axes["state"] = again.judged(run, axes["state"])
         outcomes.append((case, axes, heard, sent))
     exchanges = [(case.frame, heard) for case, _, heard, _ in outcomes[1:]]
     unusable = _line_fault(run, exchanges) or (yield from _other_device(run, exchanges))
@@ -159,16 +165,6 @@ def _again(run: Run, case: Case, first: Axis, *, fresh: bool) -> Procedure[Axis]
             yield from power_cycle()
         heard, sent = yield from _exchange(run, case, 0)
         return _judged(run, case, heard, sent).verdict is Verdict.FAIL
-
-    return (yield from confirm(run, case_bytes(case), fails)).judged(run, first)
-
-
-def _still_again(run: Run, case: Case, first: Axis) -> Procedure[Axis]:
-    """Retry a failed observation after an exchange."""
-
-    def fails() -> Procedure[bool]:
-        yield from _exchange(run, case, 0)
-        return (yield from _still(run, case.expected, "")).verdict is Verdict.FAIL
 
     return (yield from confirm(run, case_bytes(case), fails)).judged(run, first)
 

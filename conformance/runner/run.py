@@ -472,30 +472,23 @@ class Trial:
 
     def end(self, homed: Homed) -> CaseResult:
         """The result of the attempt, after the homing that followed it."""
-        for late in () if self._cut_by_look else homed.late:
-            self._came_late(late)
+        failed = any(
+            self.axes[name].verdict is Verdict.FAIL for name in SEEN_AXES if name in self.axes
+        )
+        # A look through a foreign probe ends a sequence with answers still to come.
+        foreign = self.run.config.observability.foreign
+        cut = foreign and failed and isinstance(self.case, SequenceCase)
+        for late in () if cut else homed.late:
+            self.heard += late.answers
+            words = answer_words(self.run.protocol, tuple(code for _, code in self.heard))
+            if late.reading:
+                expected = self.axes["answer"].expected
+                self.axes["answer"] = Axis(Verdict.FAIL, expected, words, late.reason, late.reading)
+            self.worsen("answer", Verdict.FAIL, words, late.reason)
         if isinstance(homed.stopped, Ended):
             self._cut_short(homed.stopped)
         self._keep_to_choice()
         return result_of(self.case, self.axes, self.heard, self.sent)
-
-    @property
-    def _cut_by_look(self) -> bool:
-        """Whether a look through a foreign probe ended a sequence, with answers still to come."""
-        failed = any(
-            self.axes[name].verdict is Verdict.FAIL for name in SEEN_AXES if name in self.axes
-        )
-        foreign = self.run.config.observability.foreign
-        return foreign and failed and isinstance(self.case, SequenceCase)
-
-    def _came_late(self, late: Late) -> None:
-        """Count late or missing answers against the case."""
-        self.heard += late.answers
-        words = answer_words(self.run.protocol, tuple(code for _, code in self.heard))
-        if late.reading:
-            expected = self.axes["answer"].expected
-            self.axes["answer"] = Axis(Verdict.FAIL, expected, words, late.reason, late.reading)
-        self.worsen("answer", Verdict.FAIL, words, late.reason)
 
     def _cut_short(self, ended: Ended) -> None:
         """Judge what was seen in part: a failure stays, but what passed so far is no pass.

@@ -108,7 +108,12 @@ def judge_burst(
         more = yield from listen(None, run.waiting.idle)
         heard = Received(heard.answers + more.answers, more.now)
         trial.hear(more)
-    held_up = _held_up(run, taken, heard, sent)
+    # Whether an answer came so late that line or device stood still for most of a time-out.
+    held_up = False
+    if heard.answers and not run.config.virtual:
+        waited = run.waiting.timeout if last.truncated else 0
+        late = heard.answers[-1][0] - sent - waited - (run.profile.round_trip or 0)
+        held_up = 2 * late > run.waiting.timeout
     for step, code in zip(taken, (*heard.codes, *[None] * len(taken)), strict=False):
         found = _judge(trial, step, code)
         if found:
@@ -122,15 +127,6 @@ def judge_burst(
         flood = "R-unsolicited" if len(heard.answers) > 2 * due + _FEW else ""
         return replace(_wrong(run, last, wanted, heard.codes, reason, flood), held_up=held_up)
     return _soon(trial, taken, heard, sent)
-
-
-def _held_up(run: Run, taken: list[Step], heard: Received, sent: int) -> bool:
-    """Whether an answer came so late that line or device stood still for most of a time-out."""
-    if run.config.virtual or not heard.answers:
-        return False
-    waited = run.waiting.timeout if taken[-1].truncated else 0
-    late = heard.answers[-1][0] - sent - waited - (run.profile.round_trip or 0)
-    return 2 * late > run.waiting.timeout
 
 
 def _judge(trial: Trial, step: Step, code: int | None) -> Mismatch | None:
@@ -194,17 +190,15 @@ def flushes(run: Run, step: Step) -> bool:
     choices = run.profile.choices
     if not step.faulty or choices.others.isdisjoint(FLUSH_POINTS):
         return False
-    return choices.differs(_losing_point(run, step))
-
-
-def _losing_point(run: Run, step: Step) -> str:
-    """The open point that decides whether what follows this fault is lost."""
     nobody = run.protocol.headers[step.frame[0]][0] not in run.protocol.by_id
     if step.kind is FrameClass.WRONG_LENGTH and len(step.frame) > 1:
-        return "R-drain-known"
+        return choices.differs("R-drain-known")
     if step.kind is FrameClass.UNUSED_ID or nobody:
-        return "R-drain-unused" if len(step.frame) > 1 else "R-pipelining unused-id"
-    return "R-pipelining bad-data" if len(step.frame) > 1 else "R-pipelining too-few"
+        return choices.differs(
+            "R-drain-unused" if len(step.frame) > 1 else "R-pipelining unused-id"
+        )
+    bad = len(step.frame) > 1
+    return choices.differs("R-pipelining bad-data" if bad else "R-pipelining too-few")
 
 
 @dataclass(frozen=True, slots=True)

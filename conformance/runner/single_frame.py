@@ -32,7 +32,6 @@ from bilprov.conformance.oracle.judge import (
     state_words,
 )
 from bilprov.conformance.oracle.sight import NOT_OBSERVABLE, facets_of, untold
-from bilprov.conformance.oracle.state_model import ExpectedState
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.runner.homing import SetUp, home, preamble_of, set_up, watch
 from bilprov.conformance.runner.run import Run, Trial
@@ -81,7 +80,10 @@ def run_single_frame(trial: Trial, case: Case) -> Procedure[None]:
     else:
         yield from _state(trial, case)
     if case.then:
-        yield from recovery(trial, case, looks)
+        # The valid instruction right after a fault is answered, and takes effect.
+        yield from _step(trial, case.then, judge(run.protocol, case.then).name)
+        if looks and run.config.observable:
+            yield from _moves_again(trial, case.then)
     elif case.stop and (yield from stays_stopped(trial, case, looks, judged)):
         yield from restart_guard(trial, case, looks)
 
@@ -114,7 +116,12 @@ def _answers(run: Run, case: Case, sent: int) -> Procedure[tuple[Received, bool]
     """Receive the due answers; return them, and whether a pad byte was sent to get them."""
     due = len(case.accepted[0].codes)
     if case.truncated:
-        return (yield from _after_silence(run, due, sent)), False
+        # Nothing is sent during its whole time-out.
+        waiting = run.waiting
+        if run.profile.truncation_answered is False:
+            return (yield from listen(None, waiting.silence)), False
+        heard = yield from waiting.answers(due, waiting.silence + waiting.usual)
+        return (yield from waiting.left_alone(heard, sent)), False
     if not case.short:
         return (yield from run.waiting.answers(due)), False
     # No answer for half a time-out: a slow device, or one that waits for data not announced.
@@ -124,15 +131,6 @@ def _answers(run: Run, case: Case, sent: int) -> Procedure[tuple[Received, bool]
     yield from send(bytes([run.protocol.pad_byte]))
     more = yield from run.waiting.answers(due + 1)
     return Received(heard.answers + more.answers, more.now), True
-
-
-def _after_silence(run: Run, due: int, sent: int) -> Procedure[Received]:
-    """Receive the answers to a truncated frame, sending nothing during its whole time-out."""
-    waiting = run.waiting
-    if run.profile.truncation_answered is False:
-        return (yield from listen(None, waiting.silence))
-    heard = yield from waiting.answers(due, waiting.silence + waiting.usual)
-    return (yield from waiting.left_alone(heard, sent))
 
 
 def _judge_heard(run: Run, case: Case, heard: Received, sent: int, filled: bool) -> Axis:
@@ -194,10 +192,15 @@ def _state(trial: Trial, case: Case) -> Procedure[None]:
 
 def _judge_state(trial: Trial, case: Case, seen: Observation) -> Axis:
     run = trial.run
-    _note_followed(run, trial.expected, seen.look)
+    car, expected = run.protocol.car, trial.expected
+    for name in (car.speed, car.steering):
+        # A probe that shows 0 may not follow at all.
+        value = getattr(expected.state, name)
+        if value and name not in expected.unknown and getattr(seen.look, name) == value:
+            run.followed.add(name)
     of_motion = facets_of_motion(run.protocol)
     elsewhere = of_motion if case.stop and seen.look.moving else ()
-    axis = judge_state(run.model, trial.expected, seen.look, elsewhere)
+    axis = judge_state(run.model, expected, seen.look, elsewhere)
     trial.already = ""
     if axis.verdict is Verdict.FAIL:
         trial.already = _already(trial, case, seen.look, elsewhere)
@@ -206,8 +209,8 @@ def _judge_state(trial: Trial, case: Case, seen: Observation) -> Axis:
             axis = Axis(axis.verdict, axis.expected, axis.actual, why, reading)
     if axis.verdict is Verdict.FAIL and run.profile.moves == set():
         # Motor power explains the wheels, and settings that show in them; not the others.
-        motor = {*of_motion, *_shown_by_wheels(run.protocol)} - run.followed
-        others = judge_state(run.model, trial.expected, seen.look, motor)
+        motor = {*of_motion, car.speed, car.steering} - run.followed
+        others = judge_state(run.model, expected, seen.look, motor)
         if others.verdict is Verdict.FAIL:
             return others
         reason = "never seen moving in any kind of motion: is the motor power on?"
@@ -242,19 +245,6 @@ def _already(trial: Trial, case: Case, look: Look, ignore: Container[str]) -> st
     )
 
 
-def _shown_by_wheels(protocol: Protocol) -> tuple[str, str]:
-    """The settings that show in the wheels."""
-    return protocol.car.speed, protocol.car.steering
-
-
-def _note_followed(run: Run, expected: ExpectedState, look: Look) -> None:
-    """Note the settings that the probe shows as they were set, unless that is 0."""
-    for name in _shown_by_wheels(run.protocol):
-        value = getattr(expected.state, name)
-        if value and name not in expected.unknown and getattr(look, name) == value:
-            run.followed.add(name)
-
-
 def unseen(protocol: Protocol, case: Case, look: Look) -> str:
     """Which facets this case tests that the look does not show, as words; "" if none."""
     if look.moving is None:
@@ -262,12 +252,9 @@ def unseen(protocol: Protocol, case: Case, look: Look) -> str:
     if case.kind is not FrameClass.VALID:
         return ""
     car = protocol.car
-    changed = [
-        name
-        for name in protocol.settings
-        if getattr(case.expected, name) != getattr(case.setup, name)
-    ]
-    tested = [*changed, car.by] if case.expected.moving else changed
+    before, after = case.setup, case.expected
+    changed = [n for n in protocol.settings if getattr(after, n) != getattr(before, n)]
+    tested = [*changed, car.by] if after.moving else changed
     return untold(protocol, tested, facets_of(protocol, look))
 
 
@@ -328,14 +315,6 @@ def restart_guard(trial: Trial, case: Case, looks: bool) -> Procedure[None]:
         yield from _step(trial, frame, judge(run.protocol, frame).name)
         if looks:
             yield from _moves_again(trial, frame)
-
-
-def recovery(trial: Trial, case: Case, looks: bool) -> Procedure[None]:
-    """Check that the valid instruction right after a fault is answered and takes effect."""
-    run = trial.run
-    yield from _step(trial, case.then, judge(run.protocol, case.then).name)
-    if looks and run.config.observable:
-        yield from _moves_again(trial, case.then)
 
 
 def _step(trial: Trial, frame: bytes, name: str) -> Procedure[None]:

@@ -319,35 +319,40 @@ def first_choices(run: Run) -> Procedure[None]:
         return
     full = full_state(protocol, mover)
     fault = protocol.header_bytes.get((protocol.unused_ids[0], 0)) if protocol.unused_ids else None
-    stop = protocol.header_bytes[protocol.stop.id, 0]
+    stop, unknown = (
+        protocol.header_bytes[protocol.stop.id, 0],
+        code_of(protocol, Outcome.UNKNOWN_ID),
+    )
     if fault is not None and run.config.power and "pipelining" not in run.profile.choices.allowed:
-        yield from _sent_ahead(run, bytes([fault, stop, stop]))
-    ok = code_of(protocol, Outcome.VALID)
-    rows: list[tuple[int, int, Effect | None]] = [(stop, ok, protocol.stop.effect)]
+        # Are stops lost that are sent right behind the first fault after power-on?
+        yield from send(bytes([fault, stop, stop]))
+        heard = yield from run.waiting.all_answers(3)
+        if heard.codes == (unknown,):
+            run.profile.choices.record("R-pipelining unused-id", "lost-after-fault", _CASE)
+            yield from listen(None, run.waiting.idle)
+    rows: list[tuple[int, int, Effect | None]] = [
+        (stop, code_of(protocol, Outcome.VALID), protocol.stop.effect)
+    ]
     if fault is not None:
-        rows.insert(0, (fault, code_of(protocol, Outcome.UNKNOWN_ID), None))
+        rows.insert(0, (fault, unknown, None))
     if not (yield from _drives_on(run, full)):
         return
     for frame, code, effect in rows:
-        heard = yield from _sent_in(run, full, bytes([frame]))
-        if heard is None or heard.codes != (code,):
+        answered = yield from _sent_in(run, full, bytes([frame]))
+        if answered is None or answered.codes != (code,):
             return
         seen = yield from watch(run, moving=False, patience=run.timers.deadline)
         if seen.look.moving and effect is None:
-            _missed(run, bytes([frame]), seen.look)
+            # A byte changed on the line cannot cause this: a frame without a fault gets another
+            # answer. So it counts without a retry.
+            case = case_of_the_run(protocol, "power-on/first-fault", bytes([frame]))
+            reason = "the first fault after power-on was answered and did not stop it"
+            axis = Axis(Verdict.FAIL, "stopped", look_words(seen.look), reason)
+            run.conclude(case, {"stop": axis})
         if seen.look.moving is not False:
             return
         _settle(run, effect, full, seen.look)
         yield from listen(None, run.timers.settle)
-
-
-def _sent_ahead(run: Run, burst: bytes) -> Procedure[None]:
-    """Record whether stops sent right behind the first fault after power-on are lost."""
-    yield from send(burst)
-    heard = yield from run.waiting.all_answers(len(burst))
-    if heard.codes == (code_of(run.protocol, Outcome.UNKNOWN_ID),):
-        run.profile.choices.record("R-pipelining unused-id", "lost-after-fault", _CASE)
-        yield from listen(None, run.waiting.idle)
 
 
 def _drives_on(run: Run, full: State) -> Procedure[bool]:
@@ -375,18 +380,6 @@ def _sent_in(run: Run, full: State, frame: bytes) -> Procedure[Received | None]:
         return None
     yield from send(frame)
     return (yield from run.waiting.answers(1))
-
-
-def _missed(run: Run, frame: bytes, look: Look) -> None:
-    """Report that the first fault did not stop the robot although its answer was that of a fault.
-
-    A byte changed on the line cannot cause this: a frame without a fault gets another answer. So
-    it counts without a retry.
-    """
-    case = case_of_the_run(run.protocol, "power-on/first-fault", frame)
-    reason = "the first fault after power-on was answered and did not stop it"
-    fault = Axis(Verdict.FAIL, "stopped", look_words(look), reason)
-    run.conclude(case, {"stop": fault})
 
 
 def _settle(run: Run, effect: Effect | None, full: State, look: Look) -> None:
