@@ -5,6 +5,7 @@ from __future__ import annotations
 import typing
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import replace
+from typing import Any
 
 from bilprov.analyzer.client.operations import Procedure, finished, interruption, steps
 from bilprov.analyzer.grammar_file import load_protocol
@@ -122,13 +123,9 @@ def conform(
     grammar = grammar or load_protocol()
     device = device or Simulator(grammar)
     target = device_target(grammar, device, name=name, probe=probe, fault=fault)
-    return run_suite(
-        replace(target, interrupted=interrupted),
-        options or Options(),
-        [listener] if listener else [],
-        logged=logged,
-        explainer=Explainer if logged else None,
-    )
+    target, listeners = replace(target, interrupted=interrupted), [listener] if listener else []
+    explainer = Explainer if logged else None
+    return run_suite(target, options or Options(), listeners, logged=logged, explainer=explainer)
 
 
 class Afterwards(typing.Protocol):
@@ -142,19 +139,10 @@ class Afterwards(typing.Protocol):
 
 
 def run_suite(
-    target: Target,
-    options: Options,
-    listeners: Sequence[RunListener] = (),
-    *,
-    skip: SkipPolicy | None = None,
-    logged: bool = True,
-    explainer: Callable[[Run, Trace, int], Afterwards] | None = Explainer,
+    target: Target, options: Options, listeners: Sequence[RunListener] = (), **how: Any
 ) -> Report:
-    """Run the cases on a target, live or recorded, to the end; see `suite_steps`."""
-    steps_of = suite_steps(
-        target, options, listeners, skip=skip, logged=logged, explainer=explainer
-    )
-    return finished(steps_of)
+    """Run the cases on a target, live or recorded, to the end; `how` is that of `suite_steps`."""
+    return finished(suite_steps(target, options, listeners, **how))
 
 
 def suite_steps(

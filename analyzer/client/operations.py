@@ -58,6 +58,10 @@ class Received(msgspec.Struct, frozen=True, gc=False):
         """The bytes alone."""
         return tuple(code for _, code in self.answers)
 
+    def __add__(self, more: Received) -> Received:
+        """What was heard, and what came after it."""
+        return Received(self.answers + more.answers, more.now)
+
 
 class Observation(NamedTuple):
     """A look with the times (ns) when the probe was asked and when its reply was complete."""

@@ -33,11 +33,11 @@ from bilprov.conformance.cli.last_run import LastRun, Run, last_run, ordered
 from bilprov.conformance.cli.options import read_profile, seed_option
 from bilprov.conformance.cli.outputs import (
     Output,
-    deliver,
     onto_standard_output,
     outputs_of,
     outputs_option,
     require_writable,
+    write_each,
 )
 from bilprov.conformance.cli.robot import RobotOptions
 from bilprov.conformance.dut.target import Target, TargetName
@@ -212,19 +212,19 @@ def conform(options: ConformOptions) -> int:
     _require_own_files(options)
     if not options.watches:
         note(plan.order)
-        return _run(protocol, options, name, settings, plan).report.exit
+        return _run(protocol, options, (name, settings), plan).report.exit
     from bilprov.conformance.cli.watch import Comeback, watch
 
     if options.reports.record is not None:
         raise click.UsageError("--record is for one run: leave out --watch")
     comeback = Comeback(name, settings, options.watch_file)
     note(plan.order)
-    first = _run(protocol, options, name, settings, plan)
+    first = _run(protocol, options, (name, settings), plan)
     robot = msgspec.structs.replace(options.robot, yes=True)  # that was for all runs
     options = msgspec.structs.replace(options, robot=robot)
 
     def again(at: TargetName, last: LastRun) -> Run:
-        return _run(protocol, options, at, settings, _planned(protocol, options, last))
+        return _run(protocol, options, (at, settings), _planned(protocol, options, last))
 
     return watch(first, again, comeback, _console(outputs_of(options.reports.outputs)))
 
@@ -268,13 +268,11 @@ def _planned(protocol: Protocol, options: ConformOptions, last: LastRun) -> _Pla
     return _Plan(suite, cases, order, last, known.profile_path if not profile else None)
 
 
-def _run(
-    protocol: Protocol,
-    options: ConformOptions,
-    name: TargetName,
-    settings: LineSettings,
-    plan: _Plan,
-) -> Run:
+_At = tuple[TargetName, LineSettings]
+"""The name of a device, and the settings of its line."""
+
+
+def _run(protocol: Protocol, options: ConformOptions, at: _At, plan: _Plan) -> Run:
     """Test the device, write and show the report, and keep what failed.
 
     From the consent on a signal ends the run itself, and nothing else until the files are written.
@@ -286,7 +284,7 @@ def _run(
         suite = api.suite_ids(protocol, plan.suite)
         expected = ExpectedFile(known.expect_failures, suite, update=known.update_expected)
     with ExitStack() as signals:
-        report, broken = _tested(protocol, options, name, settings, plan, signals)
+        report, broken = _tested(protocol, options, at, plan, signals)
         console = _console(outputs)
         fresh = None if report.unusable else plan.fresh
         if fresh is not None:
@@ -300,7 +298,8 @@ def _run(
             after.keep()
         finally:
             try:
-                deliver(outputs, [report], protocol, signals)
+                texts = ((one.path, one.write([report], protocol)) for one in outputs)
+                write_each(texts, signals)
             finally:
                 from bilprov.conformance.report.summary import show
 
@@ -327,12 +326,7 @@ def _asked(protocol: Protocol, suite: Options, cases: Sequence[AnyCase]) -> list
 
 
 def _tested(
-    protocol: Protocol,
-    options: ConformOptions,
-    name: TargetName,
-    settings: LineSettings,
-    plan: _Plan,
-    signals: ExitStack,
+    protocol: Protocol, options: ConformOptions, at: _At, plan: _Plan, signals: ExitStack
 ) -> tuple[Report, Exception | None]:
     """Open the target, ask whether a robot may move, and run the cases.
 
@@ -374,7 +368,7 @@ def _tested(
         environment = msgspec.structs.replace(target.environment, announced=seconds)
         return replace(target, environment=environment)
 
-    opened = robot.driven(protocol, name, settings, agreed, options.reconnect or 0.0)
+    opened = robot.driven(protocol, *at, agreed, options.reconnect or 0.0)
     with opened as (target, stopper), ExitStack() as stack:
         start = time.monotonic()  # the time until the user confirmed does not count
         if ending_requested():  # while the port was opened

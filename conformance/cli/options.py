@@ -39,18 +39,16 @@ def named_device(protocol: Protocol, fault: str | None, variant: str | None) -> 
     """The device that the options name, None for none. Raises UsageError, in one sentence."""
     if fault is not None and variant is not None:
         raise click.UsageError("--fault and --variant are two devices: give one of them")
+    if fault is None and variant is None:
+        return None
+    from bilprov.conformance.mutation.catalogue import find_fault, find_variant
+
     try:
         if fault is not None:
-            from bilprov.conformance.mutation.catalogue import find_fault
-
             return find_fault(protocol, fault)
-        if variant is not None:
-            from bilprov.conformance.mutation.catalogue import find_variant
-
-            return find_variant(protocol, variant)
+        return find_variant(protocol, variant or "")
     except ValueError as error:
         raise click.UsageError(str(error)) from error
-    return None
 
 
 _PROFILE_BYTES = 1 << 20

@@ -22,22 +22,16 @@ from bilprov.spec.protocol import Protocol
 Writer = Callable[[Sequence[Report], Protocol], str]
 
 
-class Format(NamedTuple):
-    """One format: its option's help text, and its writer."""
-
-    help: str
-    write: Writer
+def _json(reports: Sequence[Report], protocol: Protocol) -> str:
+    return as_json(*reports).decode()
 
 
-# Each format's option is its name with two dashes.
-FORMATS = {
-    "json": Format(
-        "The report as JSON; - is standard output.",
-        lambda reports, protocol: as_json(*reports).decode(),
-    ),
-    "junit": Format("JUnit XML, for a CI's list of tests.", as_junit),
-    "markdown": Format("A summary for a CI's page.", as_markdown),
-    "html": Format("One page with matrix, wire logs and timing pictures.", as_html),
+# For each format its option's help text, and its writer. The option is its name with two dashes.
+FORMATS: dict[str, tuple[str, Writer]] = {
+    "json": ("The report as JSON; - is standard output.", _json),
+    "junit": ("JUnit XML, for a CI's list of tests.", as_junit),
+    "markdown": ("A summary for a CI's page.", as_markdown),
+    "html": ("One page with matrix, wire logs and timing pictures.", as_html),
 }
 SEVERAL = ("junit", "markdown", "html")
 """The formats that take several reports."""
@@ -57,13 +51,13 @@ def outputs_option(names: Iterable[str] = tuple(FORMATS), help: str = "") -> Any
     `help` stands in for the help text of the format.
     """
     return option_each(
-        {name: {"metavar": "FILE", "help": help or FORMATS[name].help} for name in names}
+        {name: {"metavar": "FILE", "help": help or FORMATS[name][0]} for name in names}
     )
 
 
 def outputs_of(paths: Mapping[str, str]) -> list[Output]:
     """The outputs that were asked for, by the paths of an `outputs_option`."""
-    return [Output(f"--{name}", path, FORMATS[name].write) for name, path in paths.items()]
+    return [Output(f"--{name}", path, FORMATS[name][1]) for name, path in paths.items()]
 
 
 def onto_standard_output(outputs: Iterable[Output]) -> bool:
@@ -77,16 +71,6 @@ def require_writable(outputs: Iterable[Output], inputs: Iterable[str] = ()) -> N
     It is called before the robot moves. `inputs` are files that must not be overwritten.
     """
     command_files.require_writable(((output.option, output.path) for output in outputs), inputs)
-
-
-def deliver(
-    outputs: Iterable[Output],
-    reports: Sequence[Report],
-    protocol: Protocol,
-    signals: AbstractContextManager[object] | None = None,
-) -> None:
-    """Write every output as `write_each` does."""
-    write_each(((output.path, output.write(reports, protocol)) for output in outputs), signals)
 
 
 def write_each(

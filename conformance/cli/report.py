@@ -14,14 +14,13 @@ from bilprov.captures.errors import CaptureError
 from bilprov.captures.text import printable, quantity
 from bilprov.conformance.cli.outputs import (
     SEVERAL,
-    deliver,
     onto_standard_output,
     outputs_of,
     outputs_option,
     require_writable,
     write_each,
 )
-from bilprov.conformance.recheck import Difference, Recheck
+from bilprov.conformance.recheck import Recheck
 from bilprov.conformance.recheck import recheck as judged_again
 from bilprov.conformance.report.json_report import ReportError, as_json, read_report
 from bilprov.spec.errors import one_line
@@ -54,7 +53,7 @@ def report(options: ReportOptions) -> int:
     except ReportError as error:
         raise click.UsageError(str(error)) from error
     protocol = protocol_in_use()
-    deliver(outputs, reports, protocol)
+    write_each((output.path, output.write(reports, protocol)) for output in outputs)
     if not outputs:
         from bilprov.conformance.report.summary import show, show_compared, summary_console
 
@@ -109,18 +108,13 @@ def recheck(options: RecheckOptions) -> int:
         for sentence in found.notes:
             note(sentence)
         for difference in found.differences:
-            click.echo(_line(difference), err=to_stdout)
+            recorded, judged = printable(difference.recorded), printable(difference.judged)
+            words = f"{difference.what} recorded: {recorded}; judged again: {judged}"
+            click.echo(f"{difference.about}: {words}", err=to_stdout)
         click.echo(_sum(found), err=to_stdout)
     if outputs and found.report is None:
         raise CaptureError(f"{path} has no new report to write: the run strayed from its recording")
     return found.exit
-
-
-def _line(difference: Difference) -> str:
-    return (
-        f"{difference.about}: {difference.what} recorded: "
-        f"{printable(difference.recorded)}; judged again: {printable(difference.judged)}"
-    )
 
 
 def _sum(found: Recheck) -> str:

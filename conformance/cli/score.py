@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import click
 import msgspec
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
 
 from bilprov.analyzer.cli.command import command, family_protocol, flag, option
 from bilprov.captures.text import quantity
@@ -21,16 +24,10 @@ from bilprov.conformance.cli.outputs import (
     require_writable,
     write_each,
 )
+from bilprov.conformance.cli.progress import counted
 from bilprov.conformance.mutation.score import Score, chosen_faults, is_random
 from bilprov.conformance.mutation.score import score as score_of
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from rich.console import Console
-    from rich.table import Table
-
-    from bilprov.spec.protocol import Protocol
+from bilprov.spec.protocol import Protocol
 
 _SHOWN = 4  # faults named behind a case group
 
@@ -87,10 +84,6 @@ def score(options: ScoreOptions) -> int:
     or if a separate search distinguishes it from a conforming device. Exit code: 0 everything is
     caught that must be, 1 something is not.
     """
-    from rich.console import Console
-
-    from bilprov.conformance.cli.progress import counted
-
     protocol, at, only = family_protocol("lab score"), options.at, options.only
     faults = chosen_faults(protocol, options.drawn, only, options.fault_seed)
     if not faults:
@@ -119,9 +112,6 @@ def _causes(
     console: Console,
 ) -> int:
     """Score the causes and show what came out; returns the exit code."""
-    from rich.text import Text
-
-    from bilprov.conformance.cli.progress import counted
     from bilprov.conformance.mutation.explanations import cause_score
 
     level = options.at[0] if options.at else Options().level
@@ -147,8 +137,6 @@ def _as_json(found: msgspec.Struct) -> str:
 
 
 def _show(found: Score, console: Console) -> None:
-    from rich.text import Text
-
     console.print(_matrix(found))
     last = found.levels[-1]
     survivors = found.survivors(last)
@@ -198,8 +186,6 @@ def _percent(part: int, of: int) -> str:
 
 
 def _matrix(found: Score) -> Table:
-    from rich.table import Table
-
     table = Table("family", *found.levels)
     for column in table.columns[1:]:
         column.justify = "right"

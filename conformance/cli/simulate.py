@@ -113,12 +113,15 @@ def simulate(options: SimulateOptions) -> int:
         board = None
         if firmware is not None:
             board = stack.enter_context(_board(protocol, firmware, options.start))
-        device = board or _simulated(protocol, options)
+        device: Simulator | SimulatedDevice | PacedBoard | None = board
+        if device is None and protocol.wheels:
+            fault = named_device(protocol, options.fault, options.variant)
+            device = Simulator(protocol, fault)
         stopper = stack.enter_context(Stopper())
         power_on = time.monotonic_ns()
         try:
             serve(
-                device,
+                device or SimulatedDevice(protocol),
                 pty=options.pty or options.listen is None,
                 listen=options.listen,
                 probe_listen=options.probe_listen,
@@ -131,13 +134,6 @@ def simulate(options: SimulateOptions) -> int:
         except ValueError as error:
             raise click.UsageError(str(error)) from error
     return 2 if board and board.crashed else 0
-
-
-def _simulated(protocol: Protocol, options: SimulateOptions) -> Simulator | SimulatedDevice:
-    """The simulator of a grammar; that of the car's family can misbehave."""
-    if not protocol.wheels:
-        return SimulatedDevice(protocol)
-    return Simulator(protocol, named_device(protocol, options.fault, options.variant))
 
 
 @contextmanager

@@ -86,10 +86,9 @@ class Sight:
 
     def did(self, operation: Operation, reply: Reply) -> None:
         """Take note of an operation that was done."""
-        if isinstance(reply, Observation):
-            self._note(reply.look)
-
-    def _note(self, look: Look) -> None:
+        if not isinstance(reply, Observation):
+            return
+        look = reply.look
         self.looks += 1
         shown = facets_of(self._protocol, look)
         if shown == self.shown and "moving" in shown and not self._gaps:

@@ -61,8 +61,7 @@ def first_bytes(run: Run) -> Procedure[str]:
         heard, sent = yield from _exchange(run, case, boot)
         if first and not run.config.virtual and not set(heard.codes) <= set(run.protocol.codes):
             # The rest of a banner may come late.
-            more = yield from listen(None, run.timers.deadline)
-            heard = Received(heard.answers + more.answers, more.now)
+            heard += yield from listen(None, run.timers.deadline)
         if first and _chatter(case, heard):
             # A board that was reset by opening its port sends a banner: send the instruction again.
             outcomes[0][1]["answer"] = _banner(run, heard)
@@ -270,8 +269,8 @@ def _exchange(run: Run, case: Case, boot: int) -> Procedure[tuple[Received, int]
         sent = yield from send(case.frame)
         heard = yield from run.waiting.answers(1)
         waited += run.timers.longest
-    more = yield from listen(None, run.timers.silence)
-    return Received(heard.answers + more.answers, more.now), sent
+    heard += yield from listen(None, run.timers.silence)
+    return heard, sent
 
 
 def _line_fault(run: Run, exchanges: list[tuple[bytes, Received]]) -> str:

@@ -106,8 +106,8 @@ def judge_burst(
     heard = Received(before + heard.answers, heard.now)
     if run.profile.flushes and any(step.faulty for step in taken):
         more = yield from listen(None, run.waiting.idle)
-        heard = Received(heard.answers + more.answers, more.now)
         trial.hear(more)
+        heard += more
     # Whether an answer came so late that line or device stood still for most of a time-out.
     held_up = False
     if heard.answers and not run.config.virtual:
@@ -488,7 +488,7 @@ def watch_time_out(
     while seen.look.moving and seen.now < arrived:
         more = yield from listen(None, 2 * MS)
         trial.hear(more)
-        heard = Received(heard.answers + more.answers, more.now)
+        heard += more
         seen = yield from observe()
     if seen.look.moving:
         found = ("moving", False, True)

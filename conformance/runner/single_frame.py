@@ -129,8 +129,8 @@ def _answers(run: Run, case: Case, sent: int) -> Procedure[tuple[Received, bool]
     if len(heard.answers) >= due:
         return heard, False
     yield from send(bytes([run.protocol.pad_byte]))
-    more = yield from run.waiting.answers(due + 1)
-    return Received(heard.answers + more.answers, more.now), True
+    heard += yield from run.waiting.answers(due + 1)
+    return heard, True
 
 
 def _judge_heard(run: Run, case: Case, heard: Received, sent: int, filled: bool) -> Axis:

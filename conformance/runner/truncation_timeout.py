@@ -204,15 +204,14 @@ def _wait(
     until = sent + run.timers.never
     while heard.now < until and not heard.answers:
         step = min(_COARSEST, max(_FINEST, (heard.now - sent) // 2))
-        more = yield from listen(1, step if watched else until - heard.now)
-        heard = Received(heard.answers + more.answers, more.now)
+        heard += yield from listen(1, step if watched else until - heard.now)
         if watched and stopped is None and not heard.answers:
             seen = yield from observe()
             moving = seen.look.moving
             if moving is False:
                 stopped = seen.now
-    more = yield from listen(None, run.timers.silence)
-    return Received(heard.answers + more.answers, more.now), stopped, moving
+    heard += yield from listen(None, run.timers.silence)
+    return heard, stopped, moving
 
 
 def _in_limits(run: Run, timeout: int) -> Axis:

@@ -134,8 +134,7 @@ class Waiting:
         left = sent + self.silence - heard.now
         if heard.now - sent < self.timeout // 2 or (silent and left > 0):
             # Answered at its header: bytes sent now would still be taken for its data.
-            more = yield from listen(None, left)
-            heard = Received(heard.answers + more.answers, more.now)
+            heard += yield from listen(None, left)
         return heard
 
     @property

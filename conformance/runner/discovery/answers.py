@@ -123,8 +123,8 @@ def _exchange(run: Run, data: bytes, due: int, patience: int = 0) -> Procedure[R
     """Send bytes and receive answers, `due` of them and any more, until the line is silent."""
     yield from send(data)
     heard = yield from run.waiting.all_answers(due, patience)
-    more = yield from listen(None, run.timers.silence)
-    return Received(heard.answers + more.answers, more.now)
+    heard += yield from listen(None, run.timers.silence)
+    return heard
 
 
 def _burst(ident: str, steps: tuple[Step, ...]) -> Experiment:
