@@ -200,7 +200,7 @@ def _leave(run: Run) -> Procedure[Ended | None]:
             yield from listen(run.protocol.longest_frame, run.waiting.usual)
             if not run.config.observable:
                 return None
-            seen = yield from watch(run, moving=False, patience=run.timers.deadline, trial=last)
+            seen = yield from watch(run, moving=False, trial=last)
             if seen.look.moving is False:
                 return None
             yield from listen(None, run.profile.truncation_timeout or run.timers.deadline)
@@ -260,13 +260,16 @@ def set_up(run: Run, state: State) -> Procedure[SetUp]:
 
 
 def watch(
-    run: Run, *, moving: bool, patience: int, trial: Trial | None = None
+    run: Run, *, moving: bool, patience: int | None = None, trial: Trial | None = None
 ) -> Procedure[Observation]:
     """Observe until the robot is seen moving (or standing), for at most `patience` ns.
+
+    Without `patience` it is observed until an answer would be due.
 
     Link and probe are two lines: an observation right after an answer may be older than it.
     Answers that come meanwhile belong to the trial; without one they are stray.
     """
+    patience = run.timers.deadline if patience is None else patience
     seen = yield from observe()
     start = seen.asked
     while seen.look.moving is not moving and seen.now - start < patience:
@@ -292,7 +295,7 @@ def see_motions(run: Run) -> Procedure[None]:
         assert motion is not None
         for _ in range(_TRIES):
             yield from set_up(run, in_motion(run.protocol, motion))
-            seen = yield from watch(run, moving=True, patience=run.timers.deadline)
+            seen = yield from watch(run, moving=True)
             yield from home(run)
             if seen.look.moving is not False:
                 break
@@ -334,7 +337,7 @@ def find_speed(run: Run) -> Procedure[None]:
 def _moves_at(run: Run, state: State) -> Procedure[bool | None]:
     """Whether a homed robot moves in a state; None where it was not seen, or perhaps not told."""
     ready = yield from set_up(run, state)
-    seen = yield from watch(run, moving=True, patience=run.timers.deadline)
+    seen = yield from watch(run, moving=True)
     yield from home(run)
     return None if ready.missing and not seen.look.moving else seen.look.moving
 
@@ -358,7 +361,7 @@ def set_up_slowly(run: Run, state: State) -> Procedure[SetUp]:
     slow, car = run.profile.preamble_speed, run.protocol.car
     if slow is not None and slow < car.drive(state).speed:
         ready = yield from set_up(run, state.but(**{car.speed: slow}))
-        seen = yield from watch(run, moving=True, patience=run.timers.deadline)
+        seen = yield from watch(run, moving=True)
         if seen.look.moving is not False:
             return ready
         run.profile.preamble_speed = None

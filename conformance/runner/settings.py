@@ -105,7 +105,7 @@ def _moves(run: Run, one: Setting) -> Procedure[bool | None]:
     for frame in one.frames:
         yield from send(run.wire(frame))
         yield from run.waiting.answers(1)
-    seen = yield from watch(run, moving=True, patience=run.timers.deadline)
+    seen = yield from watch(run, moving=True)
     yield from home(run)
     return seen.look.moving
 

@@ -355,9 +355,7 @@ def _moves_again(trial: Trial, frame: bytes) -> Procedure[None]:
     """Check that the robot moves again in the expected state: no crash, nothing lost."""
     run = trial.run
     name, expected_state = judge(run.protocol, frame).name, trial.expected
-    seen = yield from watch(
-        run, moving=expected_state.state.moving, patience=run.timers.deadline, trial=trial
-    )
+    seen = yield from watch(run, moving=expected_state.state.moving, trial=trial)
     words = look_words(seen.look)
     if any(facet == "moving" for facet, _, _ in differences(run.model, expected_state, seen.look)):
         trial.worsen("state", Verdict.FAIL, words, f"{name} after the fault did not move it")

@@ -128,7 +128,7 @@ def _stops_by_itself(run: Run, silent: int) -> Procedure[bool]:
     Leaves the line homed.
     """
     yield from _drive(run)
-    begun = yield from watch(run, moving=True, patience=run.timers.deadline)
+    begun = yield from watch(run, moving=True)
     yield from listen(None, silent + _JITTER)
     seen = yield from observe()
     yield from home(run)

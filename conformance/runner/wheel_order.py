@@ -32,7 +32,7 @@ def run_wheel_order(trial: Trial, case: OrderCase) -> Procedure[None]:
         why = f"not observable ({run.config.observability.why})"
     else:
         yield from set_up(run, case.setup)
-        seen = yield from watch(run, moving=True, patience=run.timers.deadline, trial=trial)
+        seen = yield from watch(run, moving=True, trial=trial)
         if None in _speeds(seen.look):
             why = _NO_SPEEDS
         elif not (seen.look.moving or motion in (run.profile.moves or ())):

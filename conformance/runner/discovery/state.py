@@ -161,13 +161,13 @@ def _move_on(
     lost = (yield from set_up(run, full)).missing
     before = (yield from observe()).look
     yield from _send(run, fitted(run.protocol, last, full))
-    look = (yield from watch(run, moving=True, patience=run.timers.deadline)).look
+    look = (yield from watch(run, moving=True)).look
     actual, blind = look_words(look), False
     unseen = car.drive(look).steering is None
     if unseen and car.moment(last.effect) is Moment.ROTATION:
         # The wheels of a rotation do not show the steering: it shows when the robot drives again.
         yield from _send(run, fitted(run.protocol, first, full))
-        look = (yield from watch(run, moving=True, patience=run.timers.deadline)).look
+        look = (yield from watch(run, moving=True)).look
         actual += f"; driving again: {look_words(look)}"
         blind = _straightens(run, first)
     word = "" if blind else point.word_of(_steering(run.protocol, before, look, full))
@@ -188,9 +188,9 @@ def _after(
     full = full_state(protocol, first)
     again_frame = fitted(protocol, first, full)
     lost = (yield from set_up(run, full)).missing
-    before = (yield from watch(run, moving=True, patience=run.timers.deadline)).look
+    before = (yield from watch(run, moving=True)).look
     yield from _send(run, frame)
-    seen = yield from watch(run, moving=False, patience=run.timers.deadline)
+    seen = yield from watch(run, moving=False)
     look, actual = seen.look, look_words(seen.look)
     fault = lost or ("still moves" if look.moving else "")
     yield from listen(None, run.waiting.idle if run.profile.flushes else 0)
@@ -199,7 +199,7 @@ def _after(
     if speed_seen is None or steering_seen is None:
         # What the probe does not tell shows when the robot drives again.
         yield from _send(run, again_frame)
-        again = (yield from watch(run, moving=True, patience=run.timers.deadline)).look
+        again = (yield from watch(run, moving=True)).look
         actual += f"; driving again: {look_words(again)}"
     speed_again = again
     speed_frame = setting(protocol, car.speed, car.drive(full).speed, full)
@@ -207,7 +207,7 @@ def _after(
         # Its speed was zeroed; with a new one its steering shows.
         yield from _send(run, speed_frame)
         yield from _send(run, again_frame)
-        again = (yield from watch(run, moving=True, patience=run.timers.deadline)).look
+        again = (yield from watch(run, moving=True)).look
     seen_now = {name: _compared(protocol, name, before, look, full) for name in protocol.settings}
     if steering_seen is None:
         blind = _straightens(run, first)
@@ -233,11 +233,11 @@ def _speed_moving(run: Run, *, first: InstructionSpec) -> Procedure[Finding]:
     full, name = full_state(run.protocol, first), run.protocol.car.speed
     lost = (yield from set_up(run, full)).missing
     yield from _send(run, setting(run.protocol, name, 0, full))
-    seen = yield from watch(run, moving=False, patience=run.timers.deadline)
+    seen = yield from watch(run, moving=False)
     word, fault = "at-once", lost
     if seen.look.moving:
         yield from _send(run, fitted(run.protocol, first, full.but(**{name: 0})))
-        seen = yield from watch(run, moving=False, patience=run.timers.deadline)
+        seen = yield from watch(run, moving=False)
         word = "next-motion"
         if seen.look.moving:
             fault = "the speed 0 does not stop it, not even at the next motion"
@@ -267,7 +267,7 @@ def _steer_rotating(run: Run, *, turning: InstructionSpec) -> Procedure[Finding]
 def _watchdog(run: Run, *, first: InstructionSpec) -> Procedure[Finding]:
     """Find out whether a driving robot stops, sends or starts again while the line is silent."""
     lost = (yield from set_up_slowly(run, full_state(run.protocol, first))).missing
-    begun = yield from watch(run, moving=True, patience=run.timers.deadline)
+    begun = yield from watch(run, moving=True)
     point, expected = "R-watchdog", "keeps driving, sends nothing"
     if begun.look.moving is not True:
         fault = lost or ("does not move" if begun.look.moving is False else "")
@@ -297,7 +297,7 @@ def _ignored_fault(run: Run) -> Procedure[str]:
     if not run.protocol.unused_ids:
         return ""
     yield from _send(run, bytes([run.protocol.header_bytes[run.protocol.unused_ids[0], 0]]))
-    seen = yield from watch(run, moving=False, patience=run.timers.deadline)
+    seen = yield from watch(run, moving=False)
     seconds = run.timers.idle / 1e9
     deaf = f"after it has driven for {seconds:g} s without a frame, a fault does not stop it"
     return deaf if seen.look.moving else ""
@@ -341,7 +341,7 @@ def first_choices(run: Run) -> Procedure[None]:
         answered = yield from _sent_in(run, full, bytes([frame]))
         if answered is None or answered.codes != (code,):
             return
-        seen = yield from watch(run, moving=False, patience=run.timers.deadline)
+        seen = yield from watch(run, moving=False)
         if seen.look.moving and effect is None:
             # A byte changed on the line cannot cause this: a frame without a fault gets another
             # answer. So it counts without a retry.
@@ -363,7 +363,7 @@ def _drives_on(run: Run, full: State) -> Procedure[bool]:
     heard = yield from _sent_in(run, full, frame)
     if heard is None:
         return False
-    seen = yield from watch(run, moving=True, patience=run.timers.deadline)
+    seen = yield from watch(run, moving=True)
     if heard.codes != (code_of(run.protocol, Outcome.VALID),) or not seen.look.moving:
         return False
     _settle(run, step_of(run.protocol, frame).frame_effect.effect, full, seen.look)
@@ -375,7 +375,7 @@ def _sent_in(run: Run, full: State, frame: bytes) -> Procedure[Received | None]:
     ready = yield from set_up(run, full)
     if ready.missing:
         return None
-    seen = yield from watch(run, moving=True, patience=run.timers.deadline)
+    seen = yield from watch(run, moving=True)
     if differences(run.model, ready.expected, seen.look):
         return None
     yield from send(frame)
