@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from bilprov.analyzer.taps.relay import ImpairedDirection, Noise
 from bilprov.captures.schemas import Look
-from bilprov.conformance.dut.links import Device
+from bilprov.conformance.dut.target import Device
 
 
 class NoisyDevice:

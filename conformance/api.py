@@ -18,9 +18,8 @@ from bilprov.conformance.cases.levels import Options as Options
 from bilprov.conformance.cases.single_frames import opening_cases, truncation_timeout
 from bilprov.conformance.causes.explained import Explainer
 from bilprov.conformance.causes.trace import Trace
-from bilprov.conformance.dut.links import Device
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.dut.target import SIM, Target, device_target
+from bilprov.conformance.dut.target import SIM, Device, Target, device_target
 from bilprov.conformance.oracle.profile import (
     Choices,
     Profile,

@@ -24,8 +24,7 @@ from bilprov.captures.reader import Evidence, open_evidence
 from bilprov.captures.schemas import CaseMark, look_class
 from bilprov.captures.text import quantity
 from bilprov.conformance.api import Options, run_suite
-from bilprov.conformance.dut.links import TOPICS, Environment, RecordedLink, Strayed
-from bilprov.conformance.dut.target import Target
+from bilprov.conformance.dut.target import TOPICS, Environment, RecordedLink, Strayed, Target
 from bilprov.conformance.oracle.verdicts import CaseResult, worst
 from bilprov.conformance.report.json_report import as_json
 from bilprov.conformance.report.run_report import Report

@@ -17,8 +17,8 @@ from benchmarks.torture.harm import Harm, Row, tracked
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.taps.relay import Noise
 from bilprov.conformance.api import Options, conform
-from bilprov.conformance.dut.links import Device
 from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.target import Device
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.verdicts import Verdict
 

@@ -13,13 +13,11 @@ from itertools import chain
 from typing import NamedTuple
 
 from bilprov.captures.schemas import MS
-from bilprov.conformance.cases.case import full_state
-from bilprov.conformance.cases.coverage import Fact, facts
-from bilprov.conformance.cases.levels import SEQUENCE_PREFIXES, AnyCase
+from bilprov.conformance.cases.case import OrderCase, full_state
+from bilprov.conformance.cases.levels import SEQUENCE_PREFIXES, AnyCase, Fact, facts
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.cases.single_frames import motion_first
 from bilprov.conformance.cases.steps import FrameClass
-from bilprov.conformance.cases.wheel_order import OrderCase
 from bilprov.conformance.oracle.profile import Timers
 from bilprov.spec.by_effect import Movement, frames_to, link_check, movement_of, movers
 from bilprov.spec.protocol import Protocol
@@ -66,7 +64,7 @@ def within(
     """The cases that fit into `budget` s and together exercise the most, in the order given.
 
     First one of each group is chosen, the cheapest groups first. The next case is always the one
-    that adds the most facts (see `coverage`) per second; cases that add none are chosen last, as
+    that adds the most facts (see `levels.facts`) per second; cases that add none are chosen last, as
     long as there is time.
     """
     told = {case.id: frozenset(facts(protocol, case)) for case in cases}

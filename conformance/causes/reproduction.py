@@ -21,8 +21,8 @@ from bilprov.conformance.causes.exchanges import Deviation, Exchange, Exchanges,
 from bilprov.conformance.causes.features import Feature, matches
 from bilprov.conformance.causes.relations import Effect
 from bilprov.conformance.causes.trace import Trace
-from bilprov.conformance.dut.links import Device, VirtualLink
 from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.target import Device, VirtualLink
 from bilprov.conformance.oracle.state_model import Model
 from bilprov.spec.by_effect import frames_to
 

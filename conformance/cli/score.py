@@ -112,7 +112,7 @@ def _causes(
     console: Console,
 ) -> int:
     """Score the causes and show what came out; returns the exit code."""
-    from bilprov.conformance.mutation.explanations import cause_score
+    from bilprov.conformance.mutation.score import cause_score
 
     level = options.at[0] if options.at else Options().level
     jobs = options.jobs or os.cpu_count() or 1

@@ -17,7 +17,7 @@ import msgspec
 from bilprov.analyzer.client.operations import Received
 from bilprov.analyzer.files import from_toml
 from bilprov.captures.schemas import MS
-from bilprov.conformance.dut.links import Environment
+from bilprov.conformance.dut.target import Environment
 from bilprov.conformance.oracle.verdicts import LABELS, Verdict
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import POINTS, READINGS

@@ -15,8 +15,7 @@ from bilprov.conformance.cases import budget
 from bilprov.conformance.cases.budget import Pace
 from bilprov.conformance.cases.levels import AnyCase
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
-from bilprov.conformance.runner.discovery.discover import discover
-from bilprov.conformance.runner.discovery.state import first_choices
+from bilprov.conformance.runner.discovery.discover import discover, first_choices
 from bilprov.conformance.runner.homing import find_speed, home, home_again, leave, see_motions
 from bilprov.conformance.runner.power_on import calibrate, first_bytes
 from bilprov.conformance.runner.probe_trust import probe_check

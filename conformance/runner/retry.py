@@ -19,9 +19,8 @@ from typing import NamedTuple
 import msgspec
 
 from bilprov.analyzer.client.operations import Ended, Procedure, Reconnected
-from bilprov.conformance.cases.case import Case, steps_to
+from bilprov.conformance.cases.case import Case, OrderCase, steps_to
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
-from bilprov.conformance.cases.wheel_order import OrderCase
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
 from bilprov.conformance.runner.homing import home_after, was_too_slow
 from bilprov.conformance.runner.run import Homed, Run, Trial, result_of

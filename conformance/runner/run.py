@@ -17,7 +17,7 @@ from bilprov.conformance.cases.adaptation import on_the_wire
 from bilprov.conformance.cases.case import Case, case_of_the_run
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.cases.steps import FrameClass
-from bilprov.conformance.dut.links import Observability
+from bilprov.conformance.dut.target import Observability
 from bilprov.conformance.oracle.judge import answer_words, matching
 from bilprov.conformance.oracle.profile import Profile, Timers
 from bilprov.conformance.oracle.sight import NOT_OBSERVABLE, SEEN_AXES, Sight

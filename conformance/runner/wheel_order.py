@@ -9,7 +9,7 @@ from typing import Any
 
 from bilprov.analyzer.client.operations import Procedure, Received, listen, observe, send
 from bilprov.captures.schemas import MS, Look
-from bilprov.conformance.cases.wheel_order import READING, OrderCase
+from bilprov.conformance.cases.case import RESOLUTION, OrderCase
 from bilprov.conformance.oracle.judge import answer_words
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.oracle.wheel_order import Speeds, judge_order, sizes, spread, tolerance
@@ -55,7 +55,7 @@ def run_wheel_order(trial: Trial, case: OrderCase) -> Procedure[None]:
         return
     steers = case.variable == car.steering
     verdict, words, reason = judge_order(case.variable, car.turn(motion), looks, steers=steers)
-    reading = READING if reason else ""
+    reading = RESOLUTION if reason else ""
     trial.axes["state"] = Axis(verdict, case.requirement, words, reason, reading)
 
 

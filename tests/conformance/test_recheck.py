@@ -16,8 +16,8 @@ from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import open_capture
 from bilprov.conformance.api import Options
-from bilprov.conformance.dut.links import Observability
 from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.target import Observability
 from bilprov.conformance.recheck import recheck
 from bilprov.conformance.report.json_report import as_json
 from bilprov.spec.protocol import GrammarError, Protocol

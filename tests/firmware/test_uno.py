@@ -17,7 +17,7 @@ from bilprov.conformance.dut.boards import simavr as uno
 from bilprov.conformance.dut.boards.firmware import read_firmware
 from bilprov.conformance.dut.boards.libsimavr import Avr
 from bilprov.conformance.dut.boards.simavr import SimavrBoard
-from bilprov.conformance.dut.links import VirtualLink
+from bilprov.conformance.dut.target import VirtualLink
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.report.run_report import Report
 from bilprov.spec.codec import judge

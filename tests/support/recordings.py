@@ -22,9 +22,8 @@ from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk
 from bilprov.captures.writer import CaptureWriter
 from bilprov.conformance.api import Options, run_suite
-from bilprov.conformance.dut.links import Environment, Observability, VirtualLink
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.dut.target import Target
+from bilprov.conformance.dut.target import Environment, Observability, Target, VirtualLink
 from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.runner.listeners.recorder import RunRecorder
 from bilprov.spec.protocol import Protocol, grammar_hash

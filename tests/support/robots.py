@@ -30,9 +30,8 @@ from bilprov.captures.schemas import Look
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.levels import AnyCase
 from bilprov.conformance.cases.single_frames import all_cases
-from bilprov.conformance.dut.links import Environment, Observability, VirtualLink
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.dut.target import Target
+from bilprov.conformance.dut.target import Environment, Observability, Target, VirtualLink
 from bilprov.conformance.mutation.catalogue import find_fault
 from bilprov.conformance.oracle.profile import Profile, Timers
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict

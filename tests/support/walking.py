@@ -8,8 +8,8 @@ from typing import Any
 from bilprov.analyzer.client.operations import Procedure, drive, followed
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.cases.steps import Step, step_of
-from bilprov.conformance.dut.links import Observability
 from bilprov.conformance.dut.simulator import Event, Fault, React, Reaction
+from bilprov.conformance.dut.target import Observability
 from bilprov.conformance.oracle.profile import Profile, Timers
 from bilprov.conformance.oracle.verdicts import CaseResult
 from bilprov.conformance.runner.homing import home, home_after, see_motions

@@ -25,7 +25,7 @@ from bilprov.analyzer.client.operations import (
     Send,
 )
 from bilprov.captures.schemas import Look
-from bilprov.conformance.dut.links import Environment
+from bilprov.conformance.dut.target import Environment
 from bilprov.conformance.oracle.judge import look_words
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict, WireEvent, WireKind
 from bilprov.conformance.report.run_report import Report

@@ -30,8 +30,7 @@ from bilprov.captures.closing import Closing
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.schemas import Asked, CaseMark, Chunk, Line, Look
 from bilprov.captures.wall_clock import wall_clock
-from bilprov.conformance.dut.links import Environment
-from bilprov.conformance.dut.target import Target
+from bilprov.conformance.dut.target import Environment, Target
 from bilprov.conformance.oracle.verdicts import CaseResult
 from bilprov.conformance.report.json_report import as_json
 from bilprov.conformance.report.run_report import Report

@@ -19,7 +19,7 @@ from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.simulated.device import SimulatedDevice, drawn_request
 from bilprov.captures.schemas import Chunk
-from bilprov.conformance.dut.links import VirtualLink
+from bilprov.conformance.dut.target import VirtualLink
 from bilprov.spec.codec import Judgement, build, free_parts, judge
 from bilprov.spec.protocol import GrammarError, Protocol, load
 from tests.support import ROOT

@@ -18,7 +18,7 @@ from bilprov.conformance.cases.combinations import (
     random_sequences,
     total,
 )
-from bilprov.conformance.cases.coverage import COMBINED
+from bilprov.conformance.cases.levels import COMBINED
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.spec.protocol import Protocol
 

@@ -15,7 +15,7 @@ from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.machines.wp_method import Mealy, Output, minimal
 from bilprov.conformance.oracle.profile import Figures
 from bilprov.conformance.oracle.verdicts import Verdict
-from bilprov.conformance.report.proof import proven
+from bilprov.conformance.report.run_report import proven
 from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import Protocol
 from tests.support.robots import simulated

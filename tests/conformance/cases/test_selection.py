@@ -11,8 +11,7 @@ from bilprov.analyzer.taps.relay import Noise
 from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.conformance.api import Options, conform, estimated, run_suite, select_cases
 from bilprov.conformance.cases.budget import Pace, before_the_cases, run_movement, seconds
-from bilprov.conformance.cases.coverage import BAD, COMBINED, VALID, covered
-from bilprov.conformance.cases.levels import level_cases
+from bilprov.conformance.cases.levels import BAD, COMBINED, VALID, covered, level_cases
 from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.spec.by_effect import Movement

@@ -12,10 +12,12 @@ import pytest
 from msgspec.structs import replace
 
 from bilprov.conformance.api import Options, conform, select_cases
-from bilprov.conformance.cases.coverage import CUTS, TRIPLES, covered
 from bilprov.conformance.cases.levels import (
+    CUTS,
     INDEPENDENT_GROUPS,
     SEQUENCE_PREFIXES,
+    TRIPLES,
+    covered,
     level_cases,
     reaches,
 )

@@ -9,8 +9,7 @@ from collections.abc import Iterator
 import pytest
 
 from bilprov.conformance.cases.case import Case
-from bilprov.conformance.cases.coverage import covered
-from bilprov.conformance.cases.levels import level_cases, single_cases
+from bilprov.conformance.cases.levels import covered, level_cases, single_cases
 from bilprov.conformance.cases.single_frames import all_cases
 from bilprov.conformance.cases.steps import FrameClass
 from bilprov.conformance.dut.simulator import Simulator

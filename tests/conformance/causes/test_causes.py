@@ -36,11 +36,11 @@ from bilprov.conformance.causes.features import Literal, features, matches
 from bilprov.conformance.causes.relations import Relation, relations
 from bilprov.conformance.causes.reproduction import Finder, shown_by, shown_in
 from bilprov.conformance.causes.trace import Done, Mark, Trace
-from bilprov.conformance.dut.links import VirtualLink
 from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator
+from bilprov.conformance.dut.target import VirtualLink
 from bilprov.conformance.mutation.catalogue import find_fault
-from bilprov.conformance.mutation.explanations import both, explained
 from bilprov.conformance.mutation.faults import fault_bank
+from bilprov.conformance.mutation.score import both, explained
 from bilprov.conformance.oracle.profile import Choices
 from bilprov.conformance.oracle.state_model import Model
 from bilprov.conformance.report.run_report import Report

@@ -22,9 +22,8 @@ import pytest
 from bilprov.captures.schemas import Look
 from bilprov.captures.topics import CarLook
 from bilprov.conformance.api import Options, conform
-from bilprov.conformance.dut.links import DeviceError
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.dut.target import device_target
+from bilprov.conformance.dut.target import DeviceError, device_target
 from bilprov.conformance.learning.learner import learn_target
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.verdicts import Verdict

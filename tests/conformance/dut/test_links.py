@@ -32,8 +32,8 @@ from bilprov.analyzer.transport.port import PtyPair, open_port, open_pty
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import MS, Look
 from bilprov.captures.topics import CarLook
-from bilprov.conformance.dut.links import DeviceError, VirtualLink
 from bilprov.conformance.dut.simulator import Fault, Simulator, answers
+from bilprov.conformance.dut.target import DeviceError, VirtualLink
 from bilprov.spec.protocol import Protocol
 from tests.support.robots import BYTE_TIME, PATIENCE, ProbeServer, served_here
 

@@ -11,9 +11,8 @@ from benchmarks.noisy_device import NoisyDevice
 from bilprov.analyzer.client.operations import Listen, Observation, Observe, Received, Send, drive
 from bilprov.analyzer.taps.relay import Noise
 from bilprov.captures.schemas import MS
-from bilprov.conformance.dut.links import Device, Observability, VirtualLink
 from bilprov.conformance.dut.simulator import Event, Fault, React, Reaction, Simulator, answers
-from bilprov.conformance.dut.target import device_target
+from bilprov.conformance.dut.target import Device, Observability, VirtualLink, device_target
 from bilprov.conformance.learning.learner import (
     Difference,
     Learned,

@@ -15,13 +15,6 @@ from bilprov.conformance.cases.steps import FrameClass
 from bilprov.conformance.dut.simulator import CONFORMING, Fault, Simulator
 from bilprov.conformance.mutation import triggers
 from bilprov.conformance.mutation.effects import EFFECTS, WATCHING
-from bilprov.conformance.mutation.explanations import (
-    CauseScore,
-    Explained,
-    cause_score,
-    drawn_pairs,
-    explained,
-)
 from bilprov.conformance.mutation.faults import (
     Family,
     Row,
@@ -34,6 +27,13 @@ from bilprov.conformance.mutation.faults import (
     table,
 )
 from bilprov.conformance.mutation.hooks import HOOKS
+from bilprov.conformance.mutation.score import (
+    CauseScore,
+    Explained,
+    cause_score,
+    drawn_pairs,
+    explained,
+)
 from bilprov.conformance.mutation.triggers import SUBJECTS, trigger
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.spec.fields import Clauses

@@ -11,7 +11,7 @@ import pytest
 
 from bilprov.captures.schemas import Look
 from bilprov.conformance.api import Options, conform
-from bilprov.conformance.cases.wheel_order import wheel_orders
+from bilprov.conformance.cases.case import wheel_orders
 from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator, answers
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.oracle.wheel_order import judge_order

@@ -16,8 +16,8 @@ from bilprov.analyzer.client.operations import (
     listen,
 )
 from bilprov.conformance.api import Options, conform
-from bilprov.conformance.dut.links import Observability
 from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator
+from bilprov.conformance.dut.target import Observability
 from bilprov.conformance.mutation.faults import fault_bank, variants
 from bilprov.conformance.oracle.profile import Choices, Profile, Timers, parse_allowed, verdict_of
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict

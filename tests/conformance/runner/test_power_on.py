@@ -8,8 +8,8 @@ from bilprov.analyzer.client.operations import drive
 from bilprov.captures.schemas import MS
 from bilprov.conformance.api import Options, conform, select_cases
 from bilprov.conformance.cases.budget import group
-from bilprov.conformance.dut.links import Device
 from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.target import Device
 from bilprov.conformance.oracle.profile import Timers
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.runner.executor import Runner

@@ -8,8 +8,8 @@ import pytest
 
 from bilprov.analyzer.client.operations import Operation, Reconnected, Reply, Send, drive
 from bilprov.conformance.cases.levels import level_cases
-from bilprov.conformance.dut.links import VirtualLink
 from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.target import VirtualLink
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.runner.executor import Runner
 from bilprov.conformance.runner.run import Run

@@ -25,8 +25,8 @@ from bilprov.captures.schemas import Look
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.levels import AnyCase
-from bilprov.conformance.dut.links import VirtualLink
 from bilprov.conformance.dut.simulator import Event, Fault, React, Reaction, Simulator, answers
+from bilprov.conformance.dut.target import VirtualLink
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict, exit_code
 from bilprov.conformance.runner.retry import LONGEST_MINIMISED, Confirmed, confirm

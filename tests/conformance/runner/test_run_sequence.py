@@ -9,8 +9,8 @@ import pytest
 
 from bilprov.analyzer.client.operations import Listen, Observation, Operation, Received
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
-from bilprov.conformance.dut.links import Observability
 from bilprov.conformance.dut.simulator import Fault, React, Simulator, answers
+from bilprov.conformance.dut.target import Observability
 from bilprov.conformance.mutation.catalogue import find_variant
 from bilprov.conformance.mutation.faults import variants
 from bilprov.conformance.oracle.profile import Profile, Timers

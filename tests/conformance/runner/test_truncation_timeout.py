@@ -9,9 +9,8 @@ import pytest
 
 from bilprov.analyzer.client.operations import Ended, Procedure, drive
 from bilprov.conformance.api import Options, run_suite
-from bilprov.conformance.dut.links import Observability
 from bilprov.conformance.dut.simulator import Fault, Simulator
-from bilprov.conformance.dut.target import Target, device_target
+from bilprov.conformance.dut.target import Observability, Target, device_target
 from bilprov.conformance.mutation.catalogue import find_fault
 from bilprov.conformance.oracle.profile import Timers
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict

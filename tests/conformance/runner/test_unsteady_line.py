@@ -15,8 +15,8 @@ from bilprov.analyzer.client.operations import LinkListener, Observation, Observ
 from bilprov.analyzer.taps.relay import Noise
 from bilprov.captures.schemas import Look
 from bilprov.conformance.api import Options, conform, run_suite
-from bilprov.conformance.dut.links import Device, VirtualLink
 from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.target import Device, VirtualLink
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.runner.listeners.listener import RunListener
