@@ -64,8 +64,8 @@ def within(
     """The cases that fit into `budget` s and together exercise the most, in the order given.
 
     First one of each group is chosen, the cheapest groups first. The next case is always the one
-    that adds the most facts (see `levels.facts`) per second; cases that add none are chosen last, as
-    long as there is time.
+    that adds the most `facts` per second; cases that add none are chosen last, as long as there is
+    time.
     """
     told = {case.id: frozenset(facts(protocol, case)) for case in cases}
     cost = {case.id: max(seconds(case), 1e-4) for case in cases}

@@ -10,16 +10,7 @@ from functools import cache
 from typing import Any, NamedTuple, TypeVar
 
 from bilprov.conformance.dut.simulator import Fault
-from bilprov.conformance.mutation.faults import (
-    MIXTURE,
-    Row,
-    fault_bank,
-    hooks,
-    mixtures,
-    names,
-    table,
-    variants,
-)
+from bilprov.conformance.mutation import faults
 from bilprov.conformance.mutation.triggers import TRUNCATED, trigger
 from bilprov.spec.by_effect import variable_of
 from bilprov.spec.protocol import InstructionSpec, Protocol
@@ -60,14 +51,14 @@ _PLACES = ("first-byte", "last-byte", "second-byte")
 
 _DRAWN = {
     name: tuple(template for template, often in rows.items() for _ in range(often))
-    for name, rows in table("random.toml", dict[str, dict[str, int]]).items()
+    for name, rows in faults.table("random.toml", dict[str, dict[str, int]]).items()
 }
 """The templates of each kind; one that stands several times is drawn more often."""
 
 
 def _pools(protocol: Protocol) -> dict[str, Sequence[Any]]:
     """Return what the placeholders of templates are drawn from."""
-    known, tops = names(protocol), names(protocol)["top"]
+    known, tops = faults.names(protocol), faults.names(protocol)["top"]
     longest = protocol.data_lengths[-1]
     wrong = {
         (spec.id, f"outcome {'too-many' if n > spec.length else 'too-few'}, length {n}"): None
@@ -209,7 +200,7 @@ class FaultDraw:
         specs = self._protocol.instructions
         moves = self._protocol.car.moves
         some = [[s.name for s in specs if moves(s.effect) is moving] for moving in (True, False)]
-        frames = ["valid", *(f"instruction {' '.join(names)}" for names in some if names)]
+        frames = ["valid", *(f"instruction {' '.join(them)}" for them in some if them)]
         terms = [self._draw.pick(frames), self._one(*settings)]
         return Drawn("random settings", terms, "drives-on")
 
@@ -315,7 +306,7 @@ def find_random_fault(protocol: Protocol, name: str) -> Fault:
     when = ", ".join(term for term in drawn.when if term)
     doc = f"{when or 'always'}: {drawn.what}"
     clauses = ("safety", "responses", "instructions", "header")
-    made = hooks(protocol, Row(doc, drawn.what, when))
+    made = faults.hooks(protocol, faults.Row(doc, drawn.what, when))
     return Fault(f"{PREFIX}{seed}", drawn.family, doc, ("*",), clauses=clauses, **made)
 
 
@@ -326,15 +317,15 @@ def find_fault(protocol: Protocol, name: str) -> Fault:
     """
     if name.startswith(PREFIX):
         return find_random_fault(protocol, name)
-    if name.startswith(MIXTURE) or "=" in name:
+    if name.startswith(faults.MIXTURE) or "=" in name:
         return find_variant(protocol, name)
-    return _named("fault", name, fault_bank(protocol), "simulate --list-faults names all")
+    return _named("fault", name, faults.fault_bank(protocol), "simulate --list-faults names all")
 
 
 def find_variant(protocol: Protocol, name: str) -> Fault:
     """Return the named legal variant or mixture. Raises ValueError if there is none."""
-    legal = {known: variant.fault for known, variant in variants(protocol).items()}
-    known = legal if name in legal else legal | mixtures(protocol)
+    legal = {known: variant.fault for known, variant in faults.variants(protocol).items()}
+    known = legal if name in legal else legal | faults.mixtures(protocol)
     return _named("variant", name, known, "see simulate --list-variants")
 
 
@@ -351,13 +342,13 @@ def _named(what: str, name: str, known: dict[str, Fault], see: str) -> Fault:
 def listed_faults(protocol: Protocol) -> str:
     """Return the text that lists every named fault with what it does, family by family."""
     families: dict[str, list[Fault]] = {}
-    for fault in fault_bank(protocol).values():
+    for fault in faults.fault_bank(protocol).values():
         families.setdefault(fault.family, []).append(fault)
-    width = max(len(name) for name in fault_bank(protocol))
+    width = max(len(name) for name in faults.fault_bank(protocol))
     lines = []
-    for family, faults in families.items():
-        lines += ["", f"{family} ({len(faults)})"]
-        for fault in faults:
+    for family, its in families.items():
+        lines += ["", f"{family} ({len(its)})"]
+        for fault in its:
             soak = " (shows in a soak only)" if fault.needs else ""
             lines.append(f"  {fault.name:{width}}  {fault.doc}{soak}")
     drawn = f"{PREFIX}SEED"
@@ -369,8 +360,8 @@ def listed_faults(protocol: Protocol) -> str:
 
 def listed_variants(protocol: Protocol) -> str:
     """Return the text that lists every legal variant and then every mixture (which is a fault)."""
-    known = variants(protocol)
-    mixed = mixtures(protocol)
+    known = faults.variants(protocol)
+    mixed = faults.mixtures(protocol)
     width = max(len(name) for name in known)
     lines = [f"legal variants ({len(known)})"]
     for name, variant in known.items():

@@ -19,17 +19,10 @@ from bilprov.captures.text import quantity
 from bilprov.conformance.cases.levels import COMPLETE, AnyCase, Options, covered
 from bilprov.conformance.cases.proof import GROUP, PROOFS, Proof, sequences, silence, suite
 from bilprov.conformance.cases.sequence import SequenceCase
+from bilprov.conformance.oracle import verdicts
 from bilprov.conformance.oracle.profile import Figures, Profile
 from bilprov.conformance.oracle.sight import NOT_OBSERVABLE
-from bilprov.conformance.oracle.verdicts import (
-    CaseResult,
-    Cause,
-    Count,
-    Seconds,
-    Verdict,
-    exit_code,
-    worst,
-)
+from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import STATE_POINTS
 
@@ -154,8 +147,8 @@ class Grammar(msgspec.Struct, frozen=True):
 class Covered(msgspec.Struct, frozen=True):
     """How much of one kind was exercised, and how much there is."""
 
-    done: Count
-    of: Count
+    done: verdicts.Count
+    of: verdicts.Count
 
 
 class Comparison(msgspec.Struct, frozen=True):
@@ -166,8 +159,8 @@ class Comparison(msgspec.Struct, frozen=True):
     """
 
     file: str
-    expected: Count
-    unexpected: Count
+    expected: verdicts.Count
+    unexpected: verdicts.Count
     stale: tuple[str, ...]
 
 
@@ -203,20 +196,20 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     unusable: str | None = None
     ended: str | None = None
     ended_by: str | None = None
-    counts: dict[str, Count] = {}
+    counts: dict[str, verdicts.Count] = {}
     coverage: dict[str, Covered]
     timing: dict[str, int | float] = {}
     profile: Figures
     proof: str | None = None
     comparison: Comparison | None = msgspec.field(default=None, name="expected_failures")
     begun: str | None = None
-    took_s: Seconds | None = None
+    took_s: verdicts.Seconds | None = None
     host: str | None = None
     versions: dict[str, str] = {}
     unseen: tuple[str, ...] = ()
     notices: tuple[str, ...] = ()
-    causes: tuple[Cause, ...] = ()
-    unexplained: Count = 0
+    causes: tuple[verdicts.Cause, ...] = ()
+    unexplained: verdicts.Count = 0
     file: str | msgspec.UnsetType = msgspec.UNSET
     results: tuple[CaseResult, ...] = msgspec.field(name="cases")
 
@@ -225,7 +218,7 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
         found = Counter(result.verdict for result in self.results)
         counts = {verdict.label: found[verdict] for verdict in Verdict}
         msgspec.structs.force_setattr(self, "counts", counts)
-        verdict = Verdict.ERROR if self.unusable else worst(found)
+        verdict = Verdict.ERROR if self.unusable else verdicts.worst(found)
         msgspec.structs.force_setattr(self, "verdict", verdict)
         known = {ident for cause in self.causes for ident in cause.cases}
         left = sum(r.verdict is Verdict.FAIL and r.id not in known for r in self.results)
@@ -242,12 +235,12 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
             return 1
         left_out = self.comparison is not None
         counted = (r.verdict for r in self.results if not (left_out and r.expected_failure))
-        code = exit_code(counted, strict=self.options.strict)
+        code = verdicts.exit_code(counted, strict=self.options.strict)
         if self.unusable or (self.ended_by == "error" and code != 1):
             return 2
         return 3 if self.ended_by and code == 0 else code
 
-    def send_line(self, cause: Cause) -> str:
+    def send_line(self, cause: verdicts.Cause) -> str:
         """The command that shows a cause; with a probe it prints what that sees, too."""
         probe = self.link.get("probe") if self.link.get("kind") == "port" else None
         look = ["--probe", str(probe)] if probe else []

@@ -18,13 +18,7 @@ from bilprov.analyzer.client.rest import stops
 from bilprov.captures.text import quantity
 from bilprov.conformance.cases.case import Case, case_of_the_run
 from bilprov.conformance.cases.single_frames import at_rest, link_check, motion_first
-from bilprov.conformance.oracle.judge import (
-    answer_words,
-    judge_answers,
-    judge_state,
-    look_words,
-    lost,
-)
+from bilprov.conformance.oracle import judge
 from bilprov.conformance.oracle.sight import NOT_OBSERVABLE
 from bilprov.conformance.oracle.state_model import ExpectedState
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
@@ -75,7 +69,7 @@ def first_bytes(run: Run) -> Procedure[str]:
         alive = alive or bool(heard.answers)
         if answer.verdict is Verdict.FAIL and alive:
             answer = yield from _again(run, case, answer, fresh=first)
-        axes = {"answer": lost(answer) if run.profile.flushes and not flushed else answer}
+        axes = {"answer": judge.lost(answer) if run.profile.flushes and not flushed else answer}
         if first:
             axes["state"] = yield from _still(run, case.expected, "")
             if axes["state"].verdict is Verdict.FAIL:
@@ -170,7 +164,9 @@ def _again(run: Run, case: Case, first: Axis, *, fresh: bool) -> Procedure[Axis]
 
 def _judged(run: Run, case: Case, heard: Received, sent: int) -> Axis:
     """The answer axis of an exchange."""
-    return judge_answers(run.protocol, case.accepted, heard, sent, timed=True, timers=run.timers)
+    return judge.judge_answers(
+        run.protocol, case.accepted, heard, sent, timed=True, timers=run.timers
+    )
 
 
 def first_frames_lost(run: Run) -> Procedure[None]:
@@ -198,7 +194,7 @@ def first_frames_lost(run: Run) -> Procedure[None]:
 
 
 def _banner(run: Run, heard: Received) -> Axis:
-    words = answer_words(run.protocol, heard.codes)
+    words = judge.answer_words(run.protocol, heard.codes)
     reason = "bytes came before the first instruction was answered"
     return Axis(Verdict.INFORMATIONAL, "no answer", words, reason, "R-unsolicited")
 
@@ -330,13 +326,13 @@ def _still(run: Run, expected: State, reading: str, *, may_move: bool = False) -
     car = run.protocol.car
     as_found = () if reading else (*run.protocol.lights, car.steering)
     expected_state = ExpectedState(expected)
-    axis = judge_state(run.model, expected_state, seen.look, as_found)
+    axis = judge.judge_state(run.model, expected_state, seen.look, as_found)
     while axis.verdict is Verdict.FAIL and seen.now - start < run.timers.deadline and not reading:
         # The probe is another line: it may be behind the answer.
         yield from listen(None, run.timers.silence)
         seen = yield from observe()
-        axis = judge_state(run.model, expected_state, seen.look, as_found)
-    words = look_words(seen.look)
+        axis = judge.judge_state(run.model, expected_state, seen.look, as_found)
+    words = judge.look_words(seen.look)
     if seen.look.moving is None:
         return Axis(Verdict.INCONCLUSIVE, _STOPPED, words, NOT_OBSERVABLE, reading)
     if seen.look.moving and may_move:

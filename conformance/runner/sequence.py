@@ -15,16 +15,7 @@ from bilprov.captures.text import quantity
 from bilprov.conformance.cases.adaptation import adapt_to_device
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.cases.steps import FrameClass, Step
-from bilprov.conformance.oracle.judge import (
-    answer_words,
-    code_words,
-    contradiction,
-    differences,
-    facets_of_motion,
-    look_words,
-    matching,
-    state_words,
-)
+from bilprov.conformance.oracle import judge
 from bilprov.conformance.oracle.sight import NOT_OBSERVABLE, facets_set, untold
 from bilprov.conformance.oracle.state_model import ExpectedState
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
@@ -121,7 +112,7 @@ def judge_burst(
     if len(heard.answers) > due:
         came = quantity(len(heard.answers), "answer")
         reason = f"{came} came, {due} {'were' if due > 1 else 'was'} due"
-        wanted = answer_words(
+        wanted = judge.answer_words(
             run.protocol, tuple(step.accepted[0].codes[0] for step in taken[:due])
         )
         flood = "R-unsolicited" if len(heard.answers) > 2 * due + _FEW else ""
@@ -132,20 +123,20 @@ def judge_burst(
 def _judge(trial: Trial, step: Step, code: int | None) -> Mismatch | None:
     run = trial.run
     codes = () if code is None else (code,)
-    match = matching(step.accepted, codes)
+    match = judge.matching(step.accepted, codes)
     if match is None:
-        expected = answer_words(run.protocol, step.accepted[0].codes)
+        expected = judge.answer_words(run.protocol, step.accepted[0].codes)
         if code is None:
             return _wrong(run, step, expected, codes, "no answer came")
         unused = "" if code in run.protocol.codes else ", a code that no device sends"
-        reason = f"answered {code_words(run.protocol, code)} instead of {expected}{unused}"
+        reason = f"answered {judge.code_words(run.protocol, code)} instead of {expected}{unused}"
         return _wrong(run, step, expected, codes, reason)
     if step.point:
         word = match.word or POINTS[step.point].default
         contradicts = run.profile.choices.record(step.point, word, trial.case.id)
         if contradicts:
             reading = POINTS[step.point].reading
-            expected = answer_words(run.protocol, step.accepted[0].codes)
+            expected = judge.answer_words(run.protocol, step.accepted[0].codes)
             return _wrong(run, step, expected, codes, contradicts, reading)
     if match.verdict > trial.axes["answer"].verdict:
         reason = f"another reading of {match.reading}"
@@ -180,7 +171,7 @@ def _soon(trial: Trial, taken: list[Step], heard: Received, sent: int) -> Mismat
 def _wrong(
     run: Run, step: Step, expected: str, codes: tuple[int, ...], reason: str, reading: str = ""
 ) -> Mismatch:
-    words = answer_words(run.protocol, codes)
+    words = judge.answer_words(run.protocol, codes)
     axis = Axis(Verdict.FAIL, expected, words, reason, reading or step.reading)
     return Mismatch(step, "answer", axis, run.protocol.clauses.responses)
 
@@ -406,7 +397,7 @@ def look_after(trial: Trial, step: Step, before: ExpectedState) -> Procedure[Mis
     run = trial.run
     seen = yield from observe()
     start = seen.asked
-    found = differences(run.model, trial.expected, seen.look)
+    found = judge.differences(run.model, trial.expected, seen.look)
     patience = max(run.timers.deadline, int(run.protocol.timing.stop_longest * MS))
     first = [facet for facet, _, _ in found]
     while found and seen.now - start < patience:
@@ -414,13 +405,13 @@ def look_after(trial: Trial, step: Step, before: ExpectedState) -> Procedure[Mis
         if heard.answers:
             return unasked(trial, step, heard)
         seen = yield from observe()
-        found = differences(run.model, trial.expected, seen.look)
-    stops = trial.expected.still and any(f in facets_of_motion(run.protocol) for f in first)
+        found = judge.differences(run.model, trial.expected, seen.look)
+    stops = trial.expected.still and any(f in judge.facets_of_motion(run.protocol) for f in first)
     if not found:
         late = seen.asked - start
         if stops and late > run.timers.grace:
             reason = f"stopped only {late / MS:.0f} ms after its answer"
-            words = "stopped", look_words(seen.look)
+            words = "stopped", judge.look_words(seen.look)
             axis = Axis(Verdict.NON_STRICT, *words, reason, "R-stop-latency")
             trial.axes["stop"] = axis
             run.profile.stop_latency = max(run.profile.stop_latency, late)
@@ -429,8 +420,8 @@ def look_after(trial: Trial, step: Step, before: ExpectedState) -> Procedure[Mis
     run.waiting.in_vain(patience)
     facet, wanted, actual = found[0]
     reason = f"{facet} is {actual}, expected {wanted}"
-    reading, why = contradiction(run.model, before, step.frame_effect, seen.look)
-    words = state_words(trial.expected.state), look_words(seen.look)
+    reading, why = judge.contradiction(run.model, before, step.frame_effect, seen.look)
+    words = judge.state_words(trial.expected.state), judge.look_words(seen.look)
     axis = Axis(Verdict.FAIL, *words, why or reason, reading)
     name = "stop" if stops and seen.look.moving else "state"
     clauses = run.protocol.clauses
@@ -460,7 +451,7 @@ def watch_idle(
         if not looks:
             continue
         seen = yield from observe()
-        found = differences(run.model, trial.expected, seen.look)
+        found = judge.differences(run.model, trial.expected, seen.look)
         sleeps = run.profile.watchdog is not None or run.profile.choices.unknown("R-watchdog")
         asleep = sleeps and seen.look.moving is False
         if found and not asleep:
@@ -503,7 +494,7 @@ def _by_itself(
     facet, _, actual = found
     moves = expected.still and look.moving
     reason = "moved again by itself" if moves else f"{facet} became {actual} by itself"
-    words = state_words(expected.state), look_words(look)
+    words = judge.state_words(expected.state), judge.look_words(look)
     axis = Axis(Verdict.FAIL, *words, reason)
     clauses = trial.run.protocol.clauses
     clause = clauses.safety if moves else clauses.instructions
@@ -518,5 +509,5 @@ def _rest_on(trial: Trial, look: Look) -> None:
         axis = trial.axes.get("state")
         if axis is None or verdict > axis.verdict:
             reason = f"{run.profile.choices.word(point)}: another reading of {reading}"
-            words = state_words(trial.expected.state), look_words(look)
+            words = judge.state_words(trial.expected.state), judge.look_words(look)
             trial.axes["state"] = Axis(verdict, *words, reason, reading)

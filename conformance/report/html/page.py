@@ -21,14 +21,9 @@ from bilprov.captures.text import quantity
 from bilprov.conformance.oracle.judge import code_words
 from bilprov.conformance.oracle.profile import default_of
 from bilprov.conformance.oracle.verdicts import AXES, CaseResult, Cause, Verdict, WireEvent
+from bilprov.conformance.report import run_report
 from bilprov.conformance.report.grouping import Row, by_group, names, rows, tally
-from bilprov.conformance.report.run_report import (
-    EXIT_VERDICTS,
-    Covered,
-    Report,
-    conclusion,
-    run_facts,
-)
+from bilprov.conformance.report.run_report import Report
 from bilprov.spec.codec import judge
 from bilprov.spec.framing import Framer
 from bilprov.spec.protocol import Protocol
@@ -324,8 +319,8 @@ def as_html(reports: Sequence[Report], protocol: Protocol) -> str:
 def _verdict(report: Report, name: str) -> Safe:
     """How a run ended; `name` is said of several."""
     device = tag("span", name, class_="device") if name else ""
-    verdict = EXIT_VERDICTS[report.exit].label
-    return tag("p", device, conclusion(report).plain, class_=f"conclusion v-{verdict}")
+    verdict = run_report.EXIT_VERDICTS[report.exit].label
+    return tag("p", device, run_report.conclusion(report).plain, class_=f"conclusion v-{verdict}")
 
 
 def _columns(told: list[str]) -> Safe:
@@ -431,7 +426,7 @@ def _facts(report: Report) -> dict[str, Any]:
         "seed": tag("code", report.seed),
         "options": _options(report),
         "bilprov": report.kit,
-        **run_facts(report),
+        **run_report.run_facts(report),
         "versions": report.versions,
     }
 
@@ -509,7 +504,7 @@ def coverage(reports: Sequence[Report], told: Sequence[str]) -> Safe:
     )
 
 
-def _covered(covered: Covered | None) -> Safe:
+def _covered(covered: run_report.Covered | None) -> Safe:
     if covered is None:
         return tag("span", "not recorded", class_="dim")
     done, of = covered.done, covered.of
