@@ -31,14 +31,7 @@ from bilprov.conformance.cases.levels import COMPLETE, LEVELS, STANDARD, AnyCase
 from bilprov.conformance.cases.proof import announcement
 from bilprov.conformance.cli.last_run import LastRun, Run, last_run, ordered
 from bilprov.conformance.cli.options import read_profile, seed_option
-from bilprov.conformance.cli.outputs import (
-    Output,
-    onto_standard_output,
-    outputs_of,
-    outputs_option,
-    require_writable,
-    write_each,
-)
+from bilprov.conformance.cli.outputs import Output, Outputs, outputs_option, write_each
 from bilprov.conformance.cli.robot import RobotOptions
 from bilprov.conformance.dut.target import Target, TargetName
 from bilprov.conformance.oracle.profile import parse_allowed
@@ -226,16 +219,16 @@ def conform(options: ConformOptions) -> int:
     def again(at: TargetName, last: LastRun) -> Run:
         return _run(protocol, options, (at, settings), _planned(protocol, options, last))
 
-    return watch(first, again, comeback, _console(outputs_of(options.reports.outputs)))
+    return watch(first, again, comeback, _console(Outputs(options.reports.outputs)))
 
 
 def _require_own_files(options: ConformOptions) -> None:
     """Raise UsageError where a file of the run cannot be written, or would overwrite another."""
-    outputs, known = outputs_of(options.reports.outputs), options.known
+    outputs, known = Outputs(options.reports.outputs), options.known
     for name, path in (("--profile", known.profile_path), ("--record", options.reports.record)):
         if path:
             outputs.append(Output(name, path, _profile))
-    require_writable(outputs, [known.expect_failures] if known.expect_failures else [])
+    outputs.require_writable([known.expect_failures] if known.expect_failures else [])
 
 
 @dataclass(frozen=True, slots=True)
@@ -278,7 +271,7 @@ def _run(protocol: Protocol, options: ConformOptions, at: _At, plan: _Plan) -> R
     From the consent on a signal ends the run itself, and nothing else until the files are written.
     """
     known = options.known
-    outputs = outputs_of(options.reports.outputs)
+    outputs = Outputs(options.reports.outputs)
     expected = None
     if known.expect_failures is not None:
         suite = api.suite_ids(protocol, plan.suite)
@@ -312,11 +305,11 @@ def _run(protocol: Protocol, options: ConformOptions, at: _At, plan: _Plan) -> R
     return Run(plan.last, report, after)
 
 
-def _console(outputs: Sequence[Output]) -> Console:
+def _console(outputs: Outputs) -> Console:
     """Where the summary goes: to standard error where a report goes to standard output."""
     from bilprov.conformance.report.summary import summary_console
 
-    return summary_console(stderr=onto_standard_output(outputs))
+    return summary_console(stderr=outputs.onto_stdout)
 
 
 def _asked(protocol: Protocol, suite: Options, cases: Sequence[AnyCase]) -> list[AnyCase]:

@@ -55,22 +55,24 @@ def outputs_option(names: Iterable[str] = tuple(FORMATS), help: str = "") -> Any
     )
 
 
-def outputs_of(paths: Mapping[str, str]) -> list[Output]:
+class Outputs(list[Output]):
     """The outputs that were asked for, by the paths of an `outputs_option`."""
-    return [Output(f"--{name}", path, FORMATS[name][1]) for name, path in paths.items()]
 
+    def __init__(self, paths: Mapping[str, str]) -> None:
+        for name, path in paths.items():
+            self.append(Output(f"--{name}", path, FORMATS[name][1]))
 
-def onto_standard_output(outputs: Iterable[Output]) -> bool:
-    """Whether one of the outputs goes to standard output, where nothing else may then stand."""
-    return any(output.path == command_files.STANDARD_OUTPUT for output in outputs)
+    @property
+    def onto_stdout(self) -> bool:
+        """Whether one of them goes to standard output, where nothing else may then stand."""
+        return any(output.path == command_files.STANDARD_OUTPUT for output in self)
 
+    def require_writable(self, inputs: Iterable[str] = ()) -> None:
+        """Raise UsageError, in one sentence, for an output that cannot be written.
 
-def require_writable(outputs: Iterable[Output], inputs: Iterable[str] = ()) -> None:
-    """Raise UsageError, in one sentence, for an output that cannot be written.
-
-    It is called before the robot moves. `inputs` are files that must not be overwritten.
-    """
-    command_files.require_writable(((output.option, output.path) for output in outputs), inputs)
+        It is called before the robot moves. `inputs` are files that must not be overwritten.
+        """
+        command_files.require_writable(((output.option, output.path) for output in self), inputs)
 
 
 def write_each(

@@ -12,14 +12,7 @@ from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.text import printable, quantity
-from bilprov.conformance.cli.outputs import (
-    SEVERAL,
-    onto_standard_output,
-    outputs_of,
-    outputs_option,
-    require_writable,
-    write_each,
-)
+from bilprov.conformance.cli.outputs import SEVERAL, Outputs, outputs_option, write_each
 from bilprov.conformance.recheck import Recheck
 from bilprov.conformance.recheck import recheck as judged_again
 from bilprov.conformance.report.json_report import ReportError, as_json, read_report
@@ -44,8 +37,8 @@ def report(options: ReportOptions) -> int:
     is shown here. Exit code: 0 once it is written, whatever the verdicts are.
     """
     promise_verdict()
-    outputs, verbose = outputs_of(options.outputs), options.verbose
-    require_writable(outputs, inputs=options.results)
+    outputs, verbose = Outputs(options.outputs), options.verbose
+    outputs.require_writable(options.results)
     try:
         reports = [
             structs.replace(read_report(path), file=one_line(path)) for path in options.results
@@ -96,9 +89,9 @@ def recheck(options: RecheckOptions) -> int:
     it with cases that this one no longer makes.
     """
     promise_verdict()
-    path, outputs = options.path, outputs_of(options.outputs)
-    require_writable(outputs, inputs=[path])
-    to_stdout = onto_standard_output(outputs)
+    path, outputs = options.path, Outputs(options.outputs)
+    outputs.require_writable([path])
+    to_stdout = outputs.onto_stdout
     found = judged_again(path, typed_protocol())
     try:
         if found.report is not None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 
 import click
 import msgspec
@@ -16,14 +15,7 @@ from bilprov.captures.text import quantity
 from bilprov.conformance.api import Options
 from bilprov.conformance.cases.levels import LEVELS
 from bilprov.conformance.cli.options import complete_faults, seed_option
-from bilprov.conformance.cli.outputs import (
-    Output,
-    onto_standard_output,
-    outputs_of,
-    outputs_option,
-    require_writable,
-    write_each,
-)
+from bilprov.conformance.cli.outputs import Outputs, outputs_option, write_each
 from bilprov.conformance.cli.progress import counted
 from bilprov.conformance.mutation.score import Score, chosen_faults, is_random
 from bilprov.conformance.mutation.score import score as score_of
@@ -89,9 +81,9 @@ def score(options: ScoreOptions) -> int:
     if not faults:
         none = f"matches {' or '.join(only)}" if only else "is left with --random 0"
         raise click.UsageError(f"no fault {none}; see simulate --list-faults")
-    outputs = outputs_of(options.outputs)
-    require_writable(outputs)
-    console = Console(stderr=onto_standard_output(outputs), highlight=False, soft_wrap=True)
+    outputs = Outputs(options.outputs)
+    outputs.require_writable()
+    console = Console(stderr=outputs.onto_stdout, highlight=False, soft_wrap=True)
     if options.causes:
         return _causes(options, protocol, list(faults), outputs, console)
     jobs = options.jobs or os.cpu_count() or 1
@@ -108,7 +100,7 @@ def _causes(
     options: ScoreOptions,
     protocol: Protocol,
     names: list[str],
-    outputs: Sequence[Output],
+    outputs: Outputs,
     console: Console,
 ) -> int:
     """Score the causes and show what came out; returns the exit code."""

@@ -13,7 +13,7 @@ import pytest
 from msgspec.structs import replace
 
 from bilprov.conformance.cases.levels import Options
-from bilprov.conformance.cli.outputs import Output, require_writable
+from bilprov.conformance.cli.outputs import Outputs
 from bilprov.conformance.oracle.verdicts import CaseResult, Cause, Verdict
 from bilprov.conformance.report.grouping import changed_cases, changed_causes, names, rows
 from bilprov.conformance.report.html.page import as_html
@@ -278,7 +278,7 @@ def test_a_file_that_this_user_may_not_write_is_refused(
     monkeypatch.setattr(os, "access", lambda path, mode: False)
 
     with pytest.raises(click.UsageError, match="this user may not"):
-        require_writable([Output("--html", str(tmp_path / "out"), lambda reports, protocol: "")])
+        Outputs({"html": str(tmp_path / "out")}).require_writable()
 
 
 # -- a case stands under one clause, whatever became of it ----------------------------------------
