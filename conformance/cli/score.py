@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import os
+from typing import TYPE_CHECKING
 
 import click
 import msgspec
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
 from bilprov.analyzer.cli.command import command, family_protocol, flag, option
 from bilprov.captures.text import quantity
@@ -16,10 +14,13 @@ from bilprov.conformance.api import Options
 from bilprov.conformance.cases.levels import LEVELS
 from bilprov.conformance.cli.options import complete_faults, seed_option
 from bilprov.conformance.cli.outputs import Outputs, outputs_option, write_each
-from bilprov.conformance.cli.progress import counted
-from bilprov.conformance.mutation.score import Score, chosen_faults, is_random
+from bilprov.conformance.mutation.score import Score, cause_score, chosen_faults, is_random
 from bilprov.conformance.mutation.score import score as score_of
 from bilprov.spec.protocol import Protocol
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
 
 _SHOWN = 4  # faults named behind a case group
 
@@ -76,6 +77,10 @@ def score(options: ScoreOptions) -> int:
     or if a separate search distinguishes it from a conforming device. Exit code: 0 everything is
     caught that must be, 1 something is not.
     """
+    from rich.console import Console
+
+    from bilprov.conformance.cli.progress import counted
+
     protocol, at, only = family_protocol("lab score"), options.at, options.only
     faults = chosen_faults(protocol, options.drawn, only, options.fault_seed)
     if not faults:
@@ -104,7 +109,9 @@ def _causes(
     console: Console,
 ) -> int:
     """Score the causes and show what came out; returns the exit code."""
-    from bilprov.conformance.mutation.score import cause_score
+    from rich.text import Text
+
+    from bilprov.conformance.cli.progress import counted
 
     level = options.at[0] if options.at else Options().level
     jobs = options.jobs or os.cpu_count() or 1
@@ -129,6 +136,8 @@ def _as_json(found: msgspec.Struct) -> str:
 
 
 def _show(found: Score, console: Console) -> None:
+    from rich.text import Text
+
     console.print(_matrix(found))
     last = found.levels[-1]
     survivors = found.survivors(last)
@@ -178,6 +187,8 @@ def _percent(part: int, of: int) -> str:
 
 
 def _matrix(found: Score) -> Table:
+    from rich.table import Table
+
     table = Table("family", *found.levels)
     for column in table.columns[1:]:
         column.justify = "right"

@@ -15,13 +15,12 @@ from contextlib import contextmanager
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from itertools import product
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import msgspec
 
 from bilprov.conformance.api import Options, run_suite
 from bilprov.conformance.cases.steps import FrameClass
-from bilprov.conformance.causes.causes import Cause
 from bilprov.conformance.causes.exchanges import Exchange, Exchanges
 from bilprov.conformance.causes.explained import Explainer
 from bilprov.conformance.causes.reproduction import exchanged, shown_in
@@ -39,6 +38,9 @@ from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.runner.run import Run
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import State
+
+if TYPE_CHECKING:
+    from bilprov.conformance.causes.causes import Cause
 
 RANDOM_FLOOR = 0.9  # share of the random faults that can show which must be caught
 FLOORS = {"smoke": 0.88}  # share of the named faults by level; at any other level all of them
