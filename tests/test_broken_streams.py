@@ -308,19 +308,6 @@ def test_any_other_command_ends_quietly_when_nobody_reads(arguments: tuple[str, 
     assert (alone.returncode, alone.stdout, alone.stderr) == (0, b"", b"")
 
 
-def test_a_capture_is_replayed_until_nobody_reads(runs: Path) -> None:
-    result = broken("stdout", "unread", "replay", str(runs / "good.mcap"), "--rate", "0")
-
-    assert (result.returncode, result.stderr) == (0, b"")
-
-
-def test_a_full_disk_behind_a_stream_is_one_sentence() -> None:
-    result = broken("stdout", "full", "encode", "Stop")
-
-    assert result.returncode == 2
-    assert result.stderr == b"bilprov: standard output: No space left on device\n"
-
-
 @pytest.mark.parametrize(
     ("redirections", "shown"),
     [(">&-", b""), (">&- 2>&-", b""), ("<&- >&-", b""), ("<&- 2>&-", b"00\n")],

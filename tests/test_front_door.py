@@ -207,10 +207,6 @@ def test_every_subcommand_explains_itself_with_an_example_at_its_head(name: str)
         assert command(*same).stdout.decode() == shown
 
 
-def test_help_alone_is_the_front_page() -> None:
-    assert command("help").stdout == command("-h").stdout == command("--help").stdout
-
-
 def examples() -> list[tuple[str, str]]:
     """Each example of each help page, with the command of the page."""
     found = []
@@ -236,31 +232,6 @@ def test_a_former_name_and_help_are_no_files(tmp_path: Path) -> None:
     assert command("help", cwd=tmp_path).returncode == 0
 
 
-def test_the_grammar_that_is_written_is_the_one_in_use(tmp_path: Path, horn_text: str) -> None:
-    horn = tmp_path / "horn.py"
-    horn.write_text(horn_text)
-    own = command("spec", "emit", "grammar").stdout
-
-    assert own == (ROOT / "spec" / "grammar.py").read_bytes()
-    assert command("spec", "emit", "grammar", "--grammar", str(horn)).stdout == horn.read_bytes()
-    mine = tmp_path / "mine.py"
-    assert command("spec", "emit", "grammar", "-o", str(mine)).returncode == 0
-    assert command("encode", "Stop", "--grammar", str(mine)).stdout == b"00\n"
-
-
-@pytest.mark.parametrize("words", [[], ["--rate", "0"], ["--rate", "0", "--format", "jsonl"]])
-def test_a_capture_needs_no_command(words: list[str], tmp_path: Path) -> None:
-    sample = ROOT / "captures" / "samples" / "examples.mcap"
-    other = tmp_path / "a-capture"
-    other.write_bytes(sample.read_bytes())
-    words = [*words, "--end", "0.2"]
-    played = command("replay", str(sample), *words)
-    assert (played.returncode, played.stderr) == (0, b"")
-    assert command(str(sample), *words).stdout == played.stdout
-    assert command(str(other), *words).stdout == played.stdout
-    assert command("a-capture", *words, cwd=tmp_path).stdout == played.stdout
-
-
 def test_the_library_hands_on_exactly_what_it_lists() -> None:
     assert dir(bilprov) == bilprov.__all__
     for name in bilprov.__all__:
@@ -270,31 +241,6 @@ def test_the_library_hands_on_exactly_what_it_lists() -> None:
 def test_an_unknown_name_of_the_library_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="no attribute 'frob'"):
         bilprov.frob  # noqa: B018
-
-
-def test_the_library_decodes_encodes_and_explains() -> None:
-    (record,) = bilprov.decode(b"\x81\x05")
-    assert record.value.fields == {"rgb": 5}
-    assert [one.words for one in bilprov.decode(b"\x00\x81")] == ["Stop", "LED, 0 of 1 data byte"]
-    (answer,) = bilprov.decode(b"\x02", "device")
-    assert answer.value.name == "BAD_DATA"
-    assert bilprov.encode("LED", {"rgb": 5}) == b"\x81\x05"
-    assert bilprov.judge(b"\x81\x09").response.name == "BAD_DATA"
-    assert len(bilprov.explain(b"\x20\x00").frames) == 2
-    assert len(bilprov.explain(b"\x20\x00", "device").responses) == 2
-    assert bilprov.load_protocol().name
-
-
-def test_the_library_reads_a_capture_as_decoded_records(tmp_path: Path) -> None:
-    file = tmp_path / "c.mcap"
-    with CaptureWriter(file, start_wall=0, metadata={}, version="1") as writer:
-        writer.chunk(Chunk(0, "host", b"\x81\x05"))
-        writer.chunk(Chunk(2_000_000, "device", b"\x02"))
-    instruction, answer = bilprov.read_capture(file)
-    assert instruction.value.name == "LED"
-    assert (answer.value.instruction, answer.value.latency) == (0, 2_000_000)
-    assert answer.value.agrees is False
-    assert len(list(bilprov.open_capture(file))) == 2
 
 
 def test_the_library_sniffs_two_ports_as_an_iterator() -> None:

@@ -126,22 +126,6 @@ def test_a_grammar_that_was_changed_is_not_overwritten(tmp_path: Path) -> None:
     assert b"INSTRUCTIONS" in mine.read_bytes()
 
 
-TWICE = {
-    "a recording": f"conform sim {FEW} --record one --html one",
-    "a profile": f"conform sim {FEW} --profile one --json one",
-    "the grammar": "spec emit c --grammar grammar.py -o grammar.py",
-}
-
-
-@pytest.mark.parametrize("line", TWICE.values(), ids=TWICE)
-def test_a_file_of_the_command_is_not_overwritten(
-    line: str, grammar_text: str, tmp_path: Path
-) -> None:
-    (tmp_path / "grammar.py").write_text(grammar_text, encoding="utf-8")
-    refused(command(*line.split(), cwd=tmp_path), "would overwrite")
-    assert (tmp_path / "grammar.py").read_text(encoding="utf-8") == grammar_text
-
-
 # -- links -----------------------------------------------------------------------------------------
 
 

@@ -40,7 +40,7 @@ from bilprov.spec.protocol import Protocol
 from tests.analyzer.export.test_export import csv_rows, flat, parquet_rows, written, written_by
 from tests.support import ROOT
 from tests.support.decoding import MS, Event, capture_session, conversation, decoded
-from tests.support.traffic import ACTS, BATCHES, SETTINGS, Act, played
+from tests.support.traffic import ACTS, BATCHES, SETTINGS, Acts, played
 from tests.support.wireshark import exported, packets
 
 pytestmark = pytest.mark.usefixtures("columns_at_once")
@@ -151,11 +151,11 @@ def test_all_agree_on_the_sample(each_protocol: Protocol) -> None:
 )
 @given(ACTS, SETTINGS)
 def test_all_agree_on_random_captures(
-    each_protocol: Protocol, tmp_path: Path, acts: list[Act], chosen: dict[str, Any]
+    each_protocol: Protocol, tmp_path: Path, acts: Acts, chosen: dict[str, Any]
 ) -> None:
     path = tmp_path / "a.mcap"
     path.unlink(missing_ok=True)
-    events = played(each_protocol, [act for act in acts if act.pause >= 0])
+    events = sorted(played(each_protocol, acts), key=lambda event: event.t)
     require_agreement(written(path, events, chosen), each_protocol)
 
 
@@ -226,7 +226,7 @@ def test_a_busy_line_is_decoded_ten_times_a_second(protocol: Protocol, busy: boo
 )
 def test_what_is_shown_and_counted_does_not_depend_on_the_batches(
     protocol: Protocol,
-    acts: list[Act],
+    acts: Acts,
     batches: list[int],
     patience: int,
     expression: str | None,
@@ -250,7 +250,7 @@ def test_what_is_shown_and_counted_does_not_depend_on_the_batches(
 @settings(max_examples=30)
 @given(ACTS, BATCHES)
 def test_batches_are_counted_as_their_records_are(
-    protocol: Protocol, acts: list[Act], batches: list[int]
+    protocol: Protocol, acts: Acts, batches: list[int]
 ) -> None:
     events = played(protocol, acts)
     _, counts = shown(protocol, events, batches)

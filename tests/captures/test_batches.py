@@ -15,7 +15,6 @@ from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
 
 from bilprov.captures.errors import CaptureError
-from bilprov.captures.events import Events
 from bilprov.captures.parts import part_path
 from bilprov.captures.reader import open_capture, open_front, open_indexed
 from bilprov.captures.schemas import Checkpoint, Chunk, Line
@@ -253,20 +252,3 @@ def test_an_index_that_lies_leads_to_the_same_messages_as_none(seed: int) -> Non
         return starts.tolist(), others
 
     assert found(bytes(lying)) == found(b"")
-
-
-_TIMES = st.integers(-(1 << 62), 1 << 62)
-_CHUNKS = st.builds(Chunk, _TIMES, st.sampled_from(["host", "device"]), st.binary(max_size=5))
-_LINES = st.builds(Line, _TIMES, st.sampled_from(["gap", "open"]))
-_SEQUENCES = st.lists(_CHUNKS | _LINES, max_size=12)
-
-
-@given(events=_SEQUENCES, data=st.data())
-def test_any_part_of_the_arrays_gives_the_single_events_that_it_was_made_of(
-    events: list[Chunk | Line], data: st.DataObject
-) -> None:
-    arrays = Events.of(events)
-    start = data.draw(st.integers(0, len(events)))
-    stop = data.draw(st.integers(start, len(events)))
-    assert list(arrays.single()) == events
-    assert list(arrays.part(start, stop).single()) == events[start:stop]

@@ -5,11 +5,9 @@ from __future__ import annotations
 import gzip
 import os
 import re
-import zlib
 from pathlib import Path
 
 import pytest
-from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
@@ -79,14 +77,6 @@ def test_a_byte_left_out_or_put_in_is_told(small: Path, tmp_path: Path) -> None:
             path.write_bytes(changed)
             with pytest.raises(CaptureError, match=TELLS):
                 recheck(str(path))
-
-
-def test_one_checksum_covers_all_data(small: Path) -> None:
-    content = small.read_bytes()
-    end = int.from_bytes(content[-28:-20], "little") - 13
-
-    assert content[end] == Opcode.DATA_END
-    assert int.from_bytes(content[end + 9 : end + 13], "little") == zlib.crc32(content[:end])
 
 
 def test_what_the_run_rests_on_stands_before_its_first_byte(small: Path) -> None:

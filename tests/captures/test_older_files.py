@@ -7,13 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from bilprov.analyzer.api import read_capture
-from bilprov.captures.schemas import Instruction
 from bilprov.spec.protocol import Protocol, load
 from bilprov.spec.safe_grammar import NotDeclared, require_declarations
 from tests.support import ROOT
 from tests.support.commands import command
-from tests.vectors import SEQUENCES
 
 SHA256 = "784fbb0b76e02c6703df30b623f9ed0d040db9d062dba0396b23863fe89ae234"  # as it was told then
 
@@ -57,24 +54,3 @@ def test_a_golden_capture_replays_as_it_did(sample: Path) -> None:
     assert (replayed.returncode, replayed.stderr) == (0, b"")
     assert replayed.stdout == sample.with_suffix(".jsonl").read_bytes()
     assert sample.stat().st_size < 100_000
-
-
-def test_the_examples_are_the_documents_own() -> None:
-    records = read_capture(SAMPLES / "examples.mcap")
-    values = (getattr(record, "value", None) for record in records)
-    sent = [value.hex for value in values if isinstance(value, Instruction)]
-    meant = [
-        s for s in SEQUENCES if s.clause.startswith("example") and "as printed" not in s.clause
-    ]
-    found = []
-
-    for sequence in meant:
-        frames = [step.frame.hex(" ") for step in sequence.steps]
-        if frames in [sent[at : at + len(frames)] for at in range(len(sent))]:
-            found.append(sequence.clause)
-
-    assert [clause.split(",")[0] for clause in found] == [
-        "example 5.1",
-        "example 5.2",
-        "example 5.3",
-    ]

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Iterator
+from pathlib import Path
 from random import Random
 from typing import Any
 
+import msgspec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -13,6 +16,7 @@ from hypothesis import strategies as st
 from bilprov.analyzer.client.operations import Listen, Observation, Observe, Received, Send
 from bilprov.captures.schemas import MS, Look
 from bilprov.conformance.api import Options, conform
+from bilprov.conformance.dut.boards import EmulatorError, libsimavr
 from bilprov.conformance.dut.boards import simavr as uno
 from bilprov.conformance.dut.boards.firmware import read_firmware
 from bilprov.conformance.dut.boards.libsimavr import Avr
@@ -24,7 +28,9 @@ from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import State
 from tests.support.car import car_state, wheels
+from tests.support.commands import command
 from tests.support.firmware import AVR, BUGS, built
+from tests.support.robots import sentence
 from tests.vectors import FRAMES
 
 pytestmark = AVR
@@ -246,3 +252,45 @@ def test_the_suite_finds_every_planted_bug(bug: str) -> None:
     report = run(f"-D{bug}", level="standard", fail_fast=True)
 
     assert report.exit == 1, report.counts
+
+
+# -- boards of the command line ---
+
+
+@pytest.mark.waits
+def test_a_board_under_simavr_conforms_asks_nobody_and_brings_its_probe(tmp_path: Path) -> None:
+    target = f"emulator:simavr:{built()}"
+    record = tmp_path / "run.mcap"
+    result = command(
+        *("conform", target, "--level", "smoke", "--json", "-", "--record", str(record))
+    )
+
+    report = msgspec.json.decode(result.stdout)
+    assert result.returncode == report["exit"] == 0, result.stderr
+    assert report["device"] == target
+    assert report["counts"]["pass"] == len(report["cases"])  # the power switch is there too
+    assert command("recheck", str(record)).returncode == 0
+
+
+@pytest.mark.waits
+def test_firmware_that_crashes_is_a_silent_board_and_told(tmp_path: Path) -> None:
+    file = tmp_path / "empty.elf"  # its headers, and no instruction but "do nothing"
+    file.write_bytes(built().read_bytes()[:148].ljust(1 << 16, b"\0"))
+
+    result = command("conform", f"emulator:simavr:{file}", "--level", "smoke")
+
+    assert result.returncode == 2
+    assert f"{file} crashed" in sentence(result)
+    assert b"nobody answered" in result.stdout
+
+
+@pytest.mark.waits
+def test_another_version_of_the_emulator_is_told_and_not_guessed_at(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Other(ctypes.Structure):
+        _fields_ = (("new", ctypes.c_uint64), *libsimavr._Avr._fields_)
+
+    monkeypatch.setattr(libsimavr, "_Avr", Other)
+    with pytest.raises(EmulatorError, match="is not laid out as version"):
+        SimavrBoard(built())

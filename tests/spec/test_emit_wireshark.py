@@ -5,20 +5,19 @@ from __future__ import annotations
 import subprocess
 from collections.abc import Iterator, Sequence
 from decimal import Decimal
-from itertools import chain, repeat
 from pathlib import Path
 from random import Random
 
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
 from bilprov.analyzer.grammar_file import dissector_program, load_protocol
 from bilprov.captures.reader import open_capture
-from bilprov.captures.schemas import MS, Chunk, Direction
+from bilprov.captures.schemas import MS, Chunk
 from bilprov.spec.codec import all_data, bad_data, build, judge, raw_frame
-from bilprov.spec.emit.python import snake_case
 from bilprov.spec.emit.wireshark import lua_dissector
 from bilprov.spec.protocol import Protocol, load
 from bilprov.spec.replies import build_reply
@@ -26,7 +25,7 @@ from tests.support.decoding import Event, capture_session, decoded
 from tests.support.drawn_layouts import drawn_layout
 from tests.support.framed_traffic import FRAMED, Traffic, exchanges
 from tests.support.grammars import checked_digits
-from tests.support.traffic import ACTS, Act, played
+from tests.support.traffic import ACTS, Acts, played
 from tests.support.wireshark import Tshark, capture_of, exported, reads
 from tests.vectors_checks import CHECKS, DIGITS
 
@@ -47,63 +46,6 @@ def every_frame(protocol: Protocol) -> Iterator[bytes]:
         if spec.length > 1:
             for data in (*list(all_data(spec))[::7], *list(bad_data(spec))[::7]):
                 yield raw_frame(protocol, spec.id, spec.length, data)
-
-
-@pytest.mark.sample(1)
-def test_every_frame_gets_the_verdict_of_the_grammar(
-    each_protocol: Protocol, tmp_path: Path
-) -> None:
-    frames = list(every_frame(each_protocol))
-    judgements = [judge(each_protocol, frame) for frame in frames]
-    events: list[Event] = []
-    for turn, (frame, judgement) in enumerate(zip(frames, judgements, strict=True)):
-        t = turn * 100 * MS
-        events.append(Chunk(t, "host", frame))
-        answered = t + (60 if judgement.truncated else 1) * MS
-        events.append(Chunk(answered, "device", bytes([judgement.response.code])))
-    data = exported(capture_of(tmp_path / "all.mcap", each_protocol, events), each_protocol)
-    words = {
-        (spec.name, part.name): f"{snake_case(spec.name, '')}.{part.name}"
-        for spec in each_protocol.instructions
-        for part in spec.fields
-    }
-    bits = {
-        (name, part.name): [f"{words[name, part.name]}.{bit.lower()}" for bit in part.bits]
-        for name, spec in each_protocol.by_name.items()
-        for part in spec.fields
-    }
-
-    names = ["kind", "outcome", "judgement", "reason", "id", "length", "name", "agrees"]
-    names += [*words.values(), *chain(*bits.values())]
-    rows = [
-        {name.removeprefix("robot_car."): value for name, value in row.items()}
-        for row in Tshark(tmp_path, each_protocol).rows(
-            data, "_ws.expert.message", *(f"robot_car.{name}" for name in names)
-        )
-    ]
-
-    shown = [row for row in rows if row["outcome"]]
-    for judgement, row in zip(judgements, shown, strict=True):
-        expected = {
-            "kind": "truncated" if judgement.truncated else "instruction",
-            "outcome": judgement.outcome.value,
-            "judgement": str(judgement.response.code),
-            "reason": judgement.reason,
-            "_ws.expert.message": judgement.reason,
-            "id": str(judgement.id),
-            "length": str(judgement.length),
-            "name": judgement.name,
-        }
-        for field, value in judgement.fields:
-            expected[words[judgement.name, field]] = str(value)
-            among = bits[judgement.name, field]
-            expected |= {
-                name: str(value >> place & 1) for place, name in enumerate(reversed(among))
-            }
-        assert {name: value for name, value in row.items() if value} == {
-            name: value for name, value in expected.items() if value
-        }
-    assert [row["agrees"] for row in rows if row["agrees"]] == ["1"] * len(shown)
 
 
 Told = tuple[list[tuple[object, ...]], list[tuple[object, ...]], list[str]]
@@ -168,20 +110,19 @@ LONG = 5_000 * MS
 def test_it_pairs_and_follows_the_state_as_the_kit_does(
     each_protocol: Protocol,
     tmp_path_factory: pytest.TempPathFactory,
-    lives: list[list[Act]],
+    lives: list[Acts],
     attached: bool,
 ) -> None:
     folder = tmp_path_factory.mktemp("random")
     # Much in one file: to start tshark takes longer than to dissect thousands of packets.
-    acts = [
-        act._replace(pause=LONG) if first else act
-        for life in lives
-        for act, first in zip(life, chain([True], repeat(False)), strict=False)
-    ]
+    events = list[Event]()
+    for acts in lives:
+        begin = LONG + max((event.t for event in events), default=0)
+        events += [replace(event, t=begin + event.t) for event in played(each_protocol, acts)]
     path = capture_of(
         folder / "random.mcap",
         each_protocol,
-        played(each_protocol, acts),
+        events,
         attached="yes" if attached else "no",
     )
 
@@ -194,18 +135,21 @@ def test_it_pairs_and_follows_the_state_as_the_kit_does(
 
 
 @pytest.mark.sample(1)
-def test_frames_cut_over_packets_are_put_together(each_protocol: Protocol, tmp_path: Path) -> None:
+def test_every_frame_gets_the_verdict_of_the_grammar_and_may_be_cut_over_packets(
+    each_protocol: Protocol, tmp_path: Path
+) -> None:
     tshark, whole = Tshark(tmp_path, each_protocol), list[Chunk]()
-    frames = [frame for frame in every_frame(each_protocol) if len(frame) != 2]
-    for turn, frame in enumerate(frames[::9]):  # some are answered before all has come
+    for turn, frame in enumerate(every_frame(each_protocol)):  # some are answered early
         judgement, t = judge(each_protocol, frame), turn * 100 * MS
         answered = t + (30 + turn % 40 if judgement.truncated else 1) * MS
         whole.append(Chunk(t, "host", frame))
         whole.append(Chunk(answered, "device", bytes([judgement.response.code])))
     single = [Chunk(one.t, one.direction, bytes([byte])) for one in whole for byte in one.data]
+    capture = open_capture(capture_of(tmp_path / "all.mcap", each_protocol, whole))
+    records = decoded(capture_session(capture, each_protocol), capture.events())
 
-    once = shown(tshark, reads(whole), VARIABLES)
-    assert len(once[0]) > 20
+    once = shown(tshark, exported(Path(capture.path), each_protocol), VARIABLES)
+    assert once == recorded(records, VARIABLES)
     assert shown(tshark, reads(single), VARIABLES) == once
 
 
@@ -254,29 +198,6 @@ def test_what_is_odd_has_an_expert_info(protocol: Protocol, tmp_path: Path) -> N
         "It responds to no instruction",
         "Speed: 1 data byte announced, 0 came",
     ]
-
-
-@pytest.mark.parametrize(
-    ("said", "responses_to"),
-    [
-        # The time-out counts from the last byte, not from the first.
-        (
-            [(0, "host", b"\x12"), (40, "host", b"\1"), (80, "host", b"\2"), (81, "device", b"\3")],
-            "3",
-        ),
-        # The device's time-out may be the shorter one.
-        ([(0, "host", b"\x11"), (30, "device", b"\4"), (200, "host", b"\x20")], "1"),
-    ],
-    ids=["a slow frame", "an early answer"],
-)
-def test_a_response_is_to_the_frame_that_its_time_says(
-    protocol: Protocol, tmp_path: Path, said: list[tuple[int, Direction, bytes]], responses_to: str
-) -> None:
-    data = reads([Chunk(t * MS, side, data) for t, side, data in said])
-
-    rows = Tshark(tmp_path, protocol).rows(data, "robot_car.response_to")
-
-    assert "".join(row["robot_car.response_to"] for row in rows) == responses_to
 
 
 def test_the_preferences_change_the_time_out_or_leave_the_packets_alone(

@@ -175,41 +175,6 @@ def test_a_grammar_that_runs_ends_in_a_sentence_too(
     assert piece in sentence(mutated(grammar_text, changes), declared=False)
 
 
-@pytest.mark.parametrize(
-    ("line", "other", "said"),
-    [
-        (
-            "    truncation_timeout=50,",
-            '    truncation_timeout="a",',
-            "cannot be used: Timing.truncation_timeout is 'a', allowed is a number (line ~)",
-        ),
-        (
-            "INSTRUCTIONS = {",
-            "INSTRUCTIONS = = {",
-            "does not load: SyntaxError: invalid syntax (line ~); start from what "
-            "`bilprov spec emit grammar` writes",
-        ),
-        (
-            'FRAME = Struct("header" / HEADER, "data" / Switch(this.header.id, INSTRUCTIONS))',
-            "FRAME = RawCopy(HEADER)",
-            "does not load: NameError: name 'RawCopy' is not defined (line ~); start from what "
-            "`bilprov spec emit grammar` writes",
-        ),
-    ],
-)
-def test_the_sentence_says_the_file_and_the_line(
-    grammar_text: str, line: str, other: str, said: str
-) -> None:
-    lines = grammar_text.splitlines()
-    at = lines.index(line)
-    lines[at] = other
-    number = lines.index("TIMING = Timing(") if "Timing" in said else at
-    with pytest.raises(GrammarError) as raised:
-        load("\n".join(lines), "mine.py")
-
-    assert str(raised.value) == f"the grammar mine.py {said.replace('~', str(number + 1))}"
-
-
 def test_pythons_own_remarks_about_a_grammar_are_not_shown(
     grammar_text: str, recwarn: pytest.WarningsRecorder
 ) -> None:

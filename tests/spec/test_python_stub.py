@@ -44,24 +44,6 @@ def require_left_alone(stub: str, folder: Path) -> None:
         assert done.returncode == 0, done.stdout
 
 
-HOSTILE = 'A "quoted" \\\\ end, """ and more ' + "word " * 40 + "\\\\"
-
-
-def test_whatever_a_grammar_says_the_stub_is_python_that_ruff_leaves_alone(
-    horn_text: str, tmp_path: Path
-) -> None:
-    text = horn_text.replace("Sounds the horn.", HOSTILE.replace('"', '\\"'))
-    many = "".join(f'"which-one-{n}" / Ranged(Byte, 0, 3) * "sound",\n' for n in range(15))
-    text = text.replace(
-        '"sound" / Ranged(Byte, 0, 3) * "which of the four sounds, 0 is silence",', many
-    )
-    stub = python_stub(load(text))
-
-    parameters = ", ".join(f"which_one_{n}: int" for n in range(15))
-    assert signatures(stub)["horn"] == f"self, {parameters} -> Answer"
-    require_left_alone(stub, tmp_path)
-
-
 # What the stub of a grammar has of a method.
 TYPED = [
     ("modbus-rtu", "read_coils", "self, start: int, quantity: int, ADDRESS -> bytes"),

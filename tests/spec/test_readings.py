@@ -10,12 +10,10 @@ import pytest
 from bilprov.spec.codec import judge
 from bilprov.spec.explain import check
 from bilprov.spec.protocol import Protocol, load
-from bilprov.spec.readings import ERRATA, EXAMPLES, POINTS, READINGS, Reading, other_choices
+from bilprov.spec.readings import ERRATA, POINTS, READINGS, other_choices
 from tests.support import ROOT
 from tests.support.commands import command
 from tests.vectors import ERRATA_IN_BYTES, ERRATUM_IDS, READING_IDS
-
-VERDICTS = ("informational", "non-strict", "fail", "as R-")
 
 
 def _named(text: str) -> set[str]:
@@ -33,18 +31,6 @@ def test_every_reading_that_a_file_names_exists() -> None:
             assert _named(path.read_text(encoding="utf-8")) <= set(READING_IDS), path
 
 
-@pytest.mark.parametrize("reading", READINGS, ids=lambda r: r.id)
-def test_a_reading_says_its_point_its_default_and_what_another_choice_gets(
-    reading: Reading,
-) -> None:
-    assert reading.clause
-    assert reading.point
-    assert reading.default
-    for choice, verdict in reading.others:
-        assert choice
-        assert verdict.startswith(VERDICTS)
-
-
 def test_the_grammar_finds_exactly_the_errata_that_show_in_the_bytes(protocol: Protocol) -> None:
     found = [
         (f.erratum.id if f.erratum else None, f.example.section, f.example.line, f.sent, f.meant)
@@ -52,23 +38,6 @@ def test_the_grammar_finds_exactly_the_errata_that_show_in_the_bytes(protocol: P
     ]
 
     assert found == list(ERRATA_IN_BYTES)
-
-
-def test_an_erratum_about_a_line_of_an_example_quotes_the_bits_of_that_line() -> None:
-    bits = {(example.section, example.line): example.bits for example in EXAMPLES}
-    about_lines = [erratum for erratum in ERRATA if erratum.example]
-
-    assert about_lines
-    for erratum in about_lines:
-        assert erratum.example in bits
-        assert bits[erratum.example] in erratum.quote
-
-
-def test_what_an_erratum_means_is_what_the_grammar_takes_for_meant(protocol: Protocol) -> None:
-    for finding in check(protocol):
-        assert finding.erratum is not None
-        assert finding.erratum.shows == "the grammar"
-        assert bytes.fromhex(finding.erratum.meant) == finding.meant
 
 
 def test_the_errata_come_from_the_grammar_and_not_from_the_list(grammar_text: str) -> None:

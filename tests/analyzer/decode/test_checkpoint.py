@@ -18,7 +18,7 @@ from bilprov.captures.schemas import Checkpoint, Chunk, Line, Resumption
 from bilprov.spec.codec import build
 from bilprov.spec.protocol import Protocol
 from tests.support.decoding import MS, Event
-from tests.support.traffic import ACTS, SETTINGS, Act, played, records_of, told
+from tests.support.traffic import ACTS, SETTINGS, Acts, played, records_of, told
 
 # Slow: more than make quick has time for.
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("columns_at_once")]
@@ -28,7 +28,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("columns_at_once")]
 @pytest.mark.slow
 @given(ACTS, st.integers(0, 60), SETTINGS, st.booleans())
 def test_a_session_that_is_resumed_gives_the_records_that_were_left(
-    each_protocol: Protocol, acts: list[Act], place: int, chosen: dict[str, Any], by_columns: bool
+    each_protocol: Protocol, acts: Acts, place: int, chosen: dict[str, Any], by_columns: bool
 ) -> None:
     events = played(each_protocol, acts)
     first: Session | StreamDecoder

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -86,44 +85,49 @@ def test_a_request_has_the_registers_that_it_writes_as_a_whole(
     assert dict(judged.values[len(judged.fields) :]) == registers
 
 
-@pytest.mark.parametrize("batch_type", [Records, ColumnBatch])
-def test_registers_are_columns_of_filters_and_tables(batch_type: type) -> None:
-    events = conversation([(frame(MOVE), frame("FFFF 01 02 00 FC")), tuple(map(frame, POSITION))])
-    (batch,) = StreamDecoder(SERVO).feed(events)
+MOVED = frame(MOVE), frame("FFFF 01 02 00 FC")
+# Exchanges, and which rows filters of registers choose.
+FILTERS = [
+    (
+        [MOVED, (frame(POSITION[0]), frame(POSITION[1]))],
+        {
+            "goal_position == 2048": [True, False, False, False],
+            "goal_velocity != 1000": [False] * 4,
+            "1300 < present_position": [False, False, False, True],
+            "fields.torque == on": [False] * 4,
+        },
+    ),
+    (
+        [(frame(BOTH), b""), MOVED],  # a register of several servos
+        {
+            "goal_position == 512": [True, False, False],
+            "goal_position == 515": [True, False, False],
+            "goal_position > 500": [True, True, False],
+            "not goal_position == 512": [False, True, True],
+            "goal_position < goal_velocity": [False] * 3,
+            "goal_velocity < goal_position and size == 2": [False] * 3,
+            "goal_time < goal_position": [False, True, False],
+            "goal_position & 3 == 3": [True, False, False],
+        },
+    ),
+]
+
+
+@pytest.mark.parametrize(("exchanges", "filters"), FILTERS)
+def test_filters_find_registers(
+    exchanges: list[tuple[bytes, bytes]], filters: dict[str, list[bool]]
+) -> None:
+    (batch,) = StreamDecoder(SERVO).feed(conversation(exchanges))
     assert isinstance(batch, ColumnBatch)
-    found = Records(list(batch.records())) if batch_type is Records else batch
 
-    for text, rows in (
-        ("goal_position == 2048", [True, False, False, False]),
-        ("goal_velocity != 1000", [False] * 4),
-        ("1300 < present_position", [False, False, False, True]),
-        ("fields.torque == on", [False] * 4),
-    ):
-        assert found.in_order(compile_filter(text, SERVO).selection(found)).tolist() == rows, text
-
-
-@pytest.mark.parametrize("batch_type", [Records, ColumnBatch])
-def test_filters_find_a_register_that_is_written_at_several_servos(batch_type: type) -> None:
-    events = conversation([(frame(BOTH), b""), (frame(MOVE), frame("FFFF 01 02 00 FC"))])
-    (batch,) = StreamDecoder(SERVO).feed(events)
-    assert isinstance(batch, ColumnBatch)
-    found = Records(list(batch.records())) if batch_type is Records else batch
-
-    for text, rows in (
-        ("goal_position == 512", [True, False, False]),
-        ("goal_position == 515", [True, False, False]),
-        ("goal_position > 500", [True, True, False]),
-        ("not goal_position == 512", [False, True, True]),
-        ("goal_position < goal_velocity", [False] * 3),
-        ("goal_velocity < goal_position and size == 2", [False] * 3),
-        ("goal_time < goal_position", [False, True, False]),
-        ("goal_position & 3 == 3", [True, False, False]),
-    ):
-        assert found.in_order(compile_filter(text, SERVO).selection(found)).tolist() == rows, text
+    for found in (batch, Records(list(batch.records()))):
+        for text, rows in filters.items():
+            chosen = compile_filter(text, SERVO).selection(found)
+            assert found.in_order(chosen).tolist() == rows, text
 
 
 def test_a_table_has_a_column_for_each_register() -> None:
-    events = conversation([(frame(MOVE), frame("FFFF 01 02 00 FC")), tuple(map(frame, POSITION))])
+    events = conversation(FILTERS[0][0])
     table = CsvText(usual_columns(SERVO), Times())
     text = table.header + table.text(decoded(Session(SERVO), events))
     rows = list(csv.DictReader(io.StringIO(text)))
@@ -157,24 +161,6 @@ def test_what_cannot_be_asked_for_by_a_name_is_refused(
 ) -> None:
     with pytest.raises(ValueError, match=words):
         build(SERVO, name, {"address": 1, **values})
-
-
-def test_a_servo_is_driven_by_the_names_of_its_registers() -> None:
-    sent = command(
-        *("send", "sim", "Write goal_position=512 address=1", "Read goal_position address=1"),
-        *("--grammar", str(FEETECH)),
-    )
-    assert sent.stdout.decode().splitlines()[-1].count("goal_position=512") == 1, sent.stderr
-
-
-def test_the_protocol_shows_its_registers() -> None:
-    shown = command("spec", "show", "--grammar", str(FEETECH))
-    words = [line.split() for line in shown.stdout.decode().splitlines()]
-    assert ["46", "goal_velocity", "0..65535", "steps/s"] in words
-    known = json.loads(
-        command("spec", "show", "--format", "json", "--grammar", str(FEETECH)).stdout
-    )
-    assert known["registers"]["registers"][-1]["allowed"] == "off|on"
 
 
 def test_a_capture_carries_the_imported_declarations(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any, Literal
 
 import pytest
@@ -14,39 +13,19 @@ from bilprov.analyzer.decode.session import Session
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.protocol import Protocol
 from tests.support.decoding import MS, Event, decoded, devices, hosts, kinds
-
-EVENTS = st.lists(
-    st.tuples(
-        st.sampled_from([0, 1, 1000, MS, 15 * MS, 40 * MS, 70 * MS, 1100 * MS]),
-        st.one_of(
-            st.tuples(st.just("host"), st.binary(min_size=1, max_size=20)),
-            st.tuples(st.just("device"), st.binary(min_size=1, max_size=4)),
-            st.tuples(st.sampled_from(["gap", "break", "open", "overrun"]), st.just(b"")),
-        ),
-    ),
-    max_size=30,
-)
+from tests.support.traffic import ACTS, Acts, played
 
 
-def _events(drawn: Iterable[tuple[int, tuple[str, bytes]]]) -> list[Event]:
-    events: list[Event] = []
-    t = 0
-    for pause, (what, data) in drawn:
-        t += pause
-        if what == "host":
-            events.append(Chunk(t, "host", data))
-        elif what == "device":
-            events.append(Chunk(t, "device", data))
-        else:
-            events.append(Line(t, what))
-    return events
+def drawn(protocol: Protocol, acts: Acts) -> list[Event]:
+    """The events of some acts, by their times."""
+    return sorted(played(protocol, acts), key=lambda event: event.t)
 
 
-@given(EVENTS, st.booleans())
+@given(ACTS, st.booleans())
 def test_every_byte_is_in_one_record_in_order_and_each_instruction_has_one_answer_at_most(
-    protocol: Protocol, drawn: list[tuple[int, tuple[str, bytes]]], attached: bool
+    protocol: Protocol, acts: Acts, attached: bool
 ) -> None:
-    events = _events(drawn)
+    events = drawn(protocol, acts)
     chunks = [event for event in events if isinstance(event, Chunk)]
     sent = b"".join(event.data for event in chunks if event.direction == "host")
     answered = [(e.t, byte) for e in chunks if e.direction == "device" for byte in e.data]
@@ -68,19 +47,19 @@ def test_every_byte_is_in_one_record_in_order_and_each_instruction_has_one_answe
 
 
 @given(
-    EVENTS,
+    ACTS,
     st.lists(st.integers(0, 2000 * MS), max_size=20),
     st.sampled_from([0, 20 * MS]),
     st.booleans(),
 )
 def test_when_time_is_told_changes_no_record(
     protocol: Protocol,
-    drawn: list[tuple[int, tuple[str, bytes]]],
+    acts: Acts,
     looks: list[int],
     skew: int,
     attached: bool,
 ) -> None:
-    events = _events(drawn)
+    events = drawn(protocol, acts)
     untold = decoded(Session(protocol, skew=skew, attached=attached), events)
 
     session = Session(protocol, skew=skew, attached=attached)

@@ -21,7 +21,7 @@ from bilprov.spec.codec import judge
 from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import Protocol, load
 from tests.support.decoding import MS, Event
-from tests.support.traffic import ACTS, BATCHES, SETTINGS, Act, played, records_of, told
+from tests.support.traffic import ACTS, BATCHES, SETTINGS, Acts, played, records_of, told
 
 # Slow: more than make quick has time for.
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("columns_at_once")]
@@ -89,7 +89,7 @@ SHIFTS = st.just([0]) | st.lists(
 @given(ACTS, BATCHES, st.frozensets(st.integers(0, 60), max_size=5), SETTINGS, SHIFTS)
 def test_columns_hold_the_records_of_a_session(
     each_protocol: Protocol,
-    acts: list[Act],
+    acts: Acts,
     batches: list[int],
     looks: frozenset[int],
     chosen: dict[str, Any],

@@ -21,7 +21,7 @@ from bilprov.spec.protocol import Protocol
 from tests.support.decoding import Event, capture_session, conversation, decoded
 from tests.support.expressions import expressions
 from tests.support.firmware import needs
-from tests.support.traffic import ACTS, SETTINGS, Act, played
+from tests.support.traffic import ACTS, SETTINGS, Acts, played
 from tests.support.wireshark import (
     WALL,
     blocks,
@@ -38,7 +38,7 @@ HOST, DEVICE = {TX, TX_END}, {RX, RX_END}
 
 
 def file_of(
-    folder: pytest.TempPathFactory, protocol: Protocol, acts: list[Act], chosen: dict[str, Any]
+    folder: pytest.TempPathFactory, protocol: Protocol, acts: Acts, chosen: dict[str, Any]
 ) -> Path:
     """A capture of random traffic, its times from 0 on, with random settings."""
     events = played(protocol, acts)
@@ -64,7 +64,7 @@ def _rest(event: Event) -> tuple[Any, ...]:
 def test_it_has_every_byte_and_a_packet_for_each_frame_answer_and_line_event(
     each_protocol: Protocol,
     tmp_path_factory: pytest.TempPathFactory,
-    acts: list[Act],
+    acts: Acts,
     chosen: dict[str, Any],
 ) -> None:
     path = file_of(tmp_path_factory, each_protocol, acts, chosen)
@@ -107,7 +107,7 @@ def test_a_filter_and_a_window_choose_as_elsewhere_and_an_instruction_brings_its
     protocol: Protocol,
     tmp_path_factory: pytest.TempPathFactory,
     data: st.DataObject,
-    acts: list[Act],
+    acts: Acts,
     chosen: dict[str, Any],
     first: int | None,
     after: int | None,

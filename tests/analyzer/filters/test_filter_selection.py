@@ -25,7 +25,7 @@ from bilprov.spec.protocol import Protocol, load
 from tests.support.car import VARIABLES
 from tests.support.decoding import MS, Event, decoded
 from tests.support.expressions import SIGNS, Values, conditions
-from tests.support.traffic import ACTS, SETTINGS, Act, played
+from tests.support.traffic import ACTS, SETTINGS, Acts, played
 
 pytestmark = pytest.mark.slow  # more than make quick has time for
 
@@ -71,7 +71,7 @@ def require_selected(test: Filter, batch: Batch, holds: Callable[[Values], bool]
 @settings(max_examples=30)
 @given(data=st.data(), acts=ACTS, chosen=SETTINGS)
 def test_a_filter_selects_the_rows_of_any_traffic_whose_lines_it_describes(
-    each_protocol: Protocol, data: st.DataObject, acts: list[Act], chosen: dict[str, Any]
+    each_protocol: Protocol, data: st.DataObject, acts: Acts, chosen: dict[str, Any]
 ) -> None:
     found = batches(each_protocol, played(each_protocol, acts), **chosen)
     for _ in range(3):

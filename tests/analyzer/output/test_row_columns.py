@@ -35,7 +35,7 @@ from tests.support.commands import command
 from tests.support.csv_cells import plain
 from tests.support.decoding import MS, conversation, decoded
 from tests.support.framed_traffic import FRAMED
-from tests.support.traffic import ACTS, SETTINGS, Act, played
+from tests.support.traffic import ACTS, SETTINGS, Acts, played
 from tests.support.wires import running
 
 WALL = 1_700_000_000_000_000_000  # 2023-11-14T22:13:20Z
@@ -121,7 +121,7 @@ STARTED = 1_790_000_000_987_654_321
 @pytest.mark.slow
 @given(ACTS, SETTINGS, st.sampled_from(TimeStyle))
 def test_rows_made_at_once_are_those_made_one_by_one(
-    each_protocol: Protocol, acts: list[Act], chosen: dict[str, Any], style: TimeStyle
+    each_protocol: Protocol, acts: Acts, chosen: dict[str, Any], style: TimeStyle
 ) -> None:
     records = decoded(Session(each_protocol, **chosen), played(each_protocol, acts))
     columns = list(columns_of(each_protocol).values())

@@ -22,13 +22,13 @@ from bilprov.spec.protocol import Protocol
 from tests.support.decoding import MS
 from tests.support.decoding import conversation as exchanges
 from tests.support.expressions import expressions
-from tests.support.traffic import ACTS, BATCHES, SETTINGS, Act, played, records_of, told
+from tests.support.traffic import ACTS, BATCHES, SETTINGS, Acts, played, records_of, told
 
 pytestmark = pytest.mark.usefixtures("columns_at_once")
 
 
 def decoded(
-    protocol: Protocol, acts: list[Act], batches: list[int], chosen: dict[str, Any]
+    protocol: Protocol, acts: Acts, batches: list[int], chosen: dict[str, Any]
 ) -> list[Batch]:
     return told(StreamDecoder(protocol, **chosen), played(protocol, acts), batches)
 
@@ -45,7 +45,7 @@ def recorded(protocol: Protocol, batches: list[Batch]) -> Recording:
 @given(acts=ACTS, batches=BATCHES, chosen=SETTINGS, together=st.sampled_from([1, 3, 1024]))
 def test_rows_are_the_records_in_order(
     each_protocol: Protocol,
-    acts: list[Act],
+    acts: Acts,
     batches: list[int],
     chosen: dict[str, Any],
     together: int,
@@ -69,7 +69,7 @@ def test_rows_are_the_records_in_order(
 def test_a_view_has_the_rows_whose_lines_pass(
     each_protocol: Protocol,
     data: st.DataObject,
-    acts: list[Act],
+    acts: Acts,
     batches: list[int],
     chosen: dict[str, Any],
 ) -> None:

@@ -28,7 +28,7 @@ from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import State
 from tests.support.decoding import devices, hosts
-from tests.support.traffic import ACTS, BATCHES, SETTINGS, Act, played, records_of, told
+from tests.support.traffic import ACTS, BATCHES, SETTINGS, Acts, played, records_of, told
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("columns_at_once")]
 
@@ -138,7 +138,7 @@ def test_a_frame_that_began_before_all_that_came_earlier_is_the_begin(protocol: 
 @given(acts=ACTS, batches=BATCHES, chosen=SETTINGS, most=st.sampled_from([1 << 14, 30, 8]))
 def test_a_timeline_has_what_the_records_have(
     each_protocol: Protocol,
-    acts: list[Act],
+    acts: Acts,
     batches: list[int],
     chosen: dict[str, Any],
     most: int,

@@ -34,7 +34,7 @@ from bilprov.captures.schemas import Chunk
 from bilprov.spec.protocol import Protocol, load
 from tests.support.decoding import MS, Event, devices, hosts
 from tests.support.framed_traffic import FRAMED, Traffic, exchanges
-from tests.support.traffic import ACTS, BATCHES, SETTINGS, Act, played, records_of, told
+from tests.support.traffic import ACTS, BATCHES, SETTINGS, Acts, played, records_of, told
 
 # Slow: more than make quick has time for.
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("columns_at_once")]
@@ -164,7 +164,7 @@ FILTERS = (
 @given(ACTS, BATCHES, SETTINGS, st.none() | st.sampled_from(FILTERS))
 def test_totals_are_the_counts_of_the_records_that_pass_a_filter_if_there_is_one(
     each_protocol: Protocol,
-    acts: list[Act],
+    acts: Acts,
     batches: list[int],
     chosen: dict[str, Any],
     expression: str | None,
