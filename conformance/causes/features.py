@@ -35,8 +35,9 @@ class Feature:
 
     `of` gives its value: a word, a number, or None where the exchange has none. `cost` ranks
     features that explain equally well: the lower is named. `bits` is how many bits of a number may
-    matter each for itself, `counts` whether every n-th may matter. `words` has `{}` where the value
-    stands; a `subject` names the frame itself.
+    matter each for itself, `counts` whether every n-th may matter. Of one that `grows` what is wrong
+    at a number is wrong at all above. `words` has `{}` where the value stands; a `subject` names the
+    frame itself.
     """
 
     name: str
@@ -45,6 +46,7 @@ class Feature:
     cost: int = 1
     bits: int = 0
     counts: bool = False
+    grows: bool = False
     subject: bool = False
 
 
@@ -151,7 +153,8 @@ def _moved(exchange: Exchange) -> str | None:
 
 def _of_delivery() -> Iterator[Feature]:
     yield Feature("sent ahead", lambda e: "sent ahead" if e.ahead else "not sent ahead", "{}", 2)
-    yield Feature("ahead", lambda e: e.ahead, "with {} frames before it not answered yet", 3)
+    ahead = "with {} frames before it not answered yet"
+    yield Feature("ahead", lambda e: e.ahead, ahead, 3, grows=True)
     yield Feature("split", lambda e: "sent in pieces" if e.pauses else "sent in one piece", "{}", 2)
     yield Feature("pause", lambda e: e.pause // MS, "with a pause of {} ms inside", 5)
     yield Feature("gap", lambda e: e.gap and e.gap // MS, "{} ms after the frame before", 5)

@@ -90,10 +90,13 @@ class _Column:
         if not part.known.any():
             return found
         values, counts = np.unique(part.numbers[part.known], return_counts=True)
+        steps = values[np.unique(np.linspace(0, len(values) - 1, _THRESHOLDS).astype(int))]
+        from_steps = [Literal(feature, "from", int(value)) for value in steps]
+        if feature.grows:
+            return found + from_steps
         common = values[np.argsort(-counts, kind="stable")][:_VALUES]
         found += [Literal(feature, "is", int(value)) for value in common]
-        steps = values[np.unique(np.linspace(0, len(values) - 1, _THRESHOLDS).astype(int))]
-        found += [Literal(feature, "from", int(value)) for value in steps]
+        found += from_steps
         found += [Literal(feature, "to", int(value)) for value in steps]
         for bit in range(feature.bits):
             found += [Literal(feature, "bit", bit), Literal(feature, "no bit", bit)]

@@ -141,6 +141,11 @@ def test_answers_that_others_overtake_are_late_and_no_other_cause(protocol: Prot
     assert cause.sentence.startswith("answers late after a faulty frame (")
 
 
+def test_each_frame_more_than_a_device_has_room_for_is_one_cause(protocol: Protocol) -> None:
+    [cause] = report_of(protocol, find_fault(protocol, "queue-of-2-frames")).causes
+    assert cause.when == "any frame, with 2 or more frames before it not answered yet"
+
+
 @pytest.mark.parametrize("name", ["answers-too-late", "double-answer-to-faults"])
 def test_an_answer_with_the_right_code_hides_no_missing_stop(protocol: Protocol, name: str) -> None:
     fault = both(find_fault(protocol, name), find_fault(protocol, "no-stop-on-bad-data"))
