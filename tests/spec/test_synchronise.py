@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.captures.schemas import Chunk
-from bilprov.spec.framing import Framed, Framer, Kind
+from bilprov.spec.framing import Framed, Framer
 from bilprov.spec.protocol import Protocol, load
 from bilprov.spec.synchronise import Synchroniser, traffic
 from tests.support.attaching import Talk, attached, wrong_frames
@@ -240,14 +240,3 @@ def test_the_documents_examples_fall_into_their_frames(stream: StreamVector) -> 
     assert tuple(r.data for r in records) == stream.frames
     assert {r.kind for r in records} == {"instruction"}
     assert framer.held == stream.rest
-
-
-@pytest.mark.parametrize("kind", ["garbage", "truncated"])
-def test_dropping_gives_up_the_frame_begun_and_the_next_byte_is_a_header(kind: Kind) -> None:
-    framer = Framer(PROTOCOL, TIMEOUT)
-    assert list(framer.feed(b"\x43\x01", 5)) == []
-    assert framer.deadline == 5 + TIMEOUT
-
-    assert framer.drop(9, kind) == [Framed(kind, 5, 5, 9, b"\x43\x01")]
-    assert framer.drop(9) == []
-    assert [record.data for record in framer.feed(b"\x20", 9)] == [b"\x20"]

@@ -82,19 +82,6 @@ def test_instructions_that_wait_are_saved_without_one_between_them_that_is_not_a
     assert [group.first for group in again.waiting] == [0, 3, 4]
 
 
-def test_a_frame_that_grows_falls_due_a_time_out_after_its_last_byte(protocol: Protocol) -> None:
-    header = protocol.lengths.index(protocol.longest_frame - 1)
-    decoder = StreamDecoder(protocol)
-
-    decoder.feed([Chunk(0, "host", bytes([header])), Chunk(7 * MS, "host", b"\0")])
-    decoder.feed([Chunk(9 * MS, "device", b"")])
-
-    assert decoder.deadline == 57 * MS
-    assert decoder.advance(57 * MS - 1) == []
-    (part,) = decoder.advance(57 * MS)
-    assert part.counts.frames == 1
-
-
 def some_state(protocol: Protocol) -> DecoderState:
     """A state with a frame that is open, and instructions that wait."""
     spec = next(spec for spec in protocol.instructions if spec.length)
