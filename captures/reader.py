@@ -12,44 +12,34 @@ from functools import partial
 from io import BufferedReader, FileIO
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
-from bilprov.captures import topics
+from mcap.opcode import Opcode
+from mcap.records import Attachment
+
+from bilprov.captures import schemas, topics
 from bilprov.captures.errors import CaptureError
+from bilprov.captures.events import Events
 from bilprov.captures.parts import Volume, kept_parts, merged, volumes_of
-from bilprov.captures.schemas import Asked, CaseMark, Checkpoint, Chunk, Line, Look, Recorded
+from bilprov.captures.recorded import Values, batches_of, one_by_one, recorded_values
+from bilprov.captures.schemas import Checkpoint, Chunk, Line, Look, Message, Recorded
+from bilprov.captures.storage import contents as storage
+from bilprov.captures.storage.blocks import Messages, Stored, blocks_of
+from bilprov.captures.storage.contents import Contents, Order, Place, put_in_order
 from bilprov.captures.storage.records import MAGIC, Damaged, decoded
+from bilprov.captures.storage.recovery import WINDOW, Found, Lost, RecordFile, read_footer
+from bilprov.captures.storage.survey import Survey
 from bilprov.captures.text import printable
 from bilprov.captures.wall_clock import since, stated_number
-
-if TYPE_CHECKING:
-    # The rest needs arrays, and whoever only names a capture does not.
-    from mcap.records import Attachment
-
-    from bilprov.captures.events import Events
-    from bilprov.captures.recorded import Values
-    from bilprov.captures.storage.blocks import Messages, Stored
-    from bilprov.captures.storage.contents import Contents, Order, Place
-    from bilprov.captures.storage.survey import Survey
-
 
 Item = TypeVar("Item")
 _READ_AHEAD = 1 << 16  # bytes: a chunk of short messages is smaller, and takes ten small reads
 _Kinds: TypeAlias = Mapping[str, type]
 _EVENTS: _Kinds = {topics.LINE: Line, topics.CHECKPOINT: Checkpoint}
 _SIGHTS: _Kinds = {**_EVENTS, topics.LOOKS: topics.CarLook}
-_RECORDED: _Kinds = {**_SIGHTS, topics.CASES: CaseMark, topics.ASKS: Asked}
+_RECORDED: _Kinds = {**_SIGHTS, topics.CASES: schemas.CaseMark, topics.ASKS: schemas.Asked}
 _DECIDES = attrgetter("own", "in_order", "counted", "metadata", "channels")
 """What of a file's contents decides how its messages are read."""
-
-
-class Message(NamedTuple):
-    """One message of any topic, as stored; `t` is ns since the capture's start."""
-
-    topic: str
-    t: int
-    data: bytes
-    sequence: int
 
 
 class StoredCheckpoint(NamedTuple):
@@ -108,15 +98,13 @@ class Capture:
         `resumes` is a Resumption, with the `gap` right before it if there is one. Raises
         CaptureError if the file changed since it was opened or cannot be read.
         """
-        return self._one_by_one(after, _EVENTS)
+        return one_by_one(self._values(after, _EVENTS))
 
     def batches(self, after: StoredCheckpoint | None = None) -> Iterator[Events]:
         """Yield the same as `events`, in the same order, as arrays of some 64 k to 256 k rows.
 
         Raises CaptureError as `events` does.
         """
-        from bilprov.captures.recorded import batches_of
-
         return batches_of(self._values(after, _EVENTS))
 
     @property
@@ -142,7 +130,7 @@ class Capture:
 
     def sights(self, after: StoredCheckpoint | None = None) -> Iterator[Chunk | Line | Look]:
         """Yield the events and the looks of a conformance run, in order, as `events` does."""
-        return self._one_by_one(after, _SIGHTS)
+        return one_by_one(self._values(after, _SIGHTS))
 
     def recorded(
         self, after: StoredCheckpoint | None = None, looks: type[Look] = topics.CarLook
@@ -152,7 +140,8 @@ class Capture:
         Texts and numbers are as stored, so that a copy has them too; `looks` is the class of looks
         at the device.
         """
-        return self._one_by_one(after, {**_RECORDED, topics.LOOKS: looks}, as_stored=True)
+        kinds = {**_RECORDED, topics.LOOKS: looks}
+        return one_by_one(self._values(after, kinds, as_stored=True))
 
     def messages(self, wanted: Collection[str] | None = None) -> Iterator[Message]:
         """Yield the messages of all topics that the file describes, or of those `wanted`, in order.
@@ -208,10 +197,8 @@ class Capture:
 
     def attachments(self) -> Iterator[Attachment]:
         """Yield the complete attachments in file order. Raises CaptureError as `events` does."""
-        from bilprov.captures.storage.contents import attachments
-
         for volume in self.volumes:
-            yield from _read_volume(volume, attachments)
+            yield from _read_volume(volume, storage.attachments)
 
     def checkpoint_before(self, t: int, grammar: str | None = None) -> StoredCheckpoint | None:
         """The last checkpoint with a time below `t` (ns since the capture's start), None without.
@@ -220,13 +207,11 @@ class Capture:
         not what it says it is, is passed over for the one before it. There is none in a capture
         that was not opened by its index. Raises CaptureError as `events` does.
         """
-        from bilprov.captures.storage.contents import checkpoints_before
-
         recorded = self.metadata.get(topics.GRAMMAR_HASH)
         other = grammar and recorded and recorded != grammar
         if other or not self.contents.counts.get(topics.CHECKPOINT):
             return None
-        read = partial(checkpoints_before, time=self.start + t)
+        read = partial(storage.checkpoints_before, time=self.start + t)
         for number in reversed(range(len(self.volumes) if self.indexed else 0)):
             for log_time, value, place in _read_volume(self.volumes[number], read):
                 itself = value.t == log_time - self.start and value.whole
@@ -234,17 +219,9 @@ class Capture:
                     return StoredCheckpoint(value, place, number)
         return None
 
-    def _one_by_one(
-        self, after: StoredCheckpoint | None, wanted: _Kinds, *, as_stored: bool = False
-    ) -> Iterator[Any]:
-        from bilprov.captures.recorded import one_by_one
-
-        return one_by_one(self._values(after, wanted, as_stored=as_stored))
-
     def _values(
         self, after: StoredCheckpoint | None, wanted: _Kinds, *, as_stored: bool = False
     ) -> Values:
-        from bilprov.captures.recorded import recorded_values
 
         names = {channel: topic for channel, (topic, _) in self.contents.channels.items()}
         return recorded_values(self.start, names, self._blocks(after), wanted, as_stored)
@@ -259,8 +236,6 @@ class Capture:
         Each part of a recording begins with a checkpoint for those who read it alone. Where nothing
         is missing before it, decoding is in that state anyway, and it is left out.
         """
-        from bilprov.captures.storage.contents import Order
-
         whole = self.volumes[0].contents.metadata.get(topics.PART, "1") == "1"
         order = Order(0 if whole else None)
         first, place = (after.volume, after.place) if after else (0, None)
@@ -283,12 +258,8 @@ class Capture:
         self, order: Order, place: Place | None, file: BufferedReader, contents: Contents
     ) -> Iterator[Messages]:
         """Yield the messages of a file, and count how much of it was passed."""
-        from bilprov.captures.storage.blocks import blocks_of
-        from bilprov.captures.storage.contents import pieces, put_in_order
-        from bilprov.captures.storage.survey import Survey
-
         if self.surveys is None:
-            blocks = blocks_of(pieces(file, contents, place))
+            blocks = blocks_of(storage.pieces(file, contents, place))
         else:
             self.surveys.append(Survey(file, contents.size))
             blocks = self.surveys[-1].blocks()
@@ -389,8 +360,6 @@ def appended(capture: Capture) -> Capture | None:
 
     None where no complete record was added. Raises CaptureError if the file cannot be read.
     """
-    from bilprov.captures.storage.recovery import Lost, RecordFile, read_footer
-
     volume = capture.volumes[0]
     start = end = volume.contents.regions[-1][1]
     with _opened(volume.path) as file:
@@ -452,13 +421,11 @@ def _is_unchanged(capture: Capture) -> bool:
 
 def _indexed(path: Path) -> Contents | None:
     """The contents of a file as its index tells them; None if there is none."""
-    from bilprov.captures.storage.contents import read_index
-
     try:
         if not path.is_file():
             return None
         with path.open("rb") as file:
-            return read_index(file, _size_of(file))
+            return storage.read_index(file, _size_of(file))
     except (OSError, ValueError):
         return None
 
@@ -468,23 +435,13 @@ def _capture_of(path: Path, volumes: tuple[Volume, ...], *, cut_short: bool = Fa
     start = contents.start
     first, last = (start + since(start, time) for time in (contents.first, contents.last))
     contents = with_changes(contents, first=first, last=last)
-    return Capture(
-        path=path,
-        start=start,
-        metadata={
-            printable(key): printable(text)
-            for key, text in contents.metadata.items()
-            if key != topics.GRAMMAR_TEXT
-        },
-        unfinished=contents.unfinished or cut_short,
-        damage=contents.damage,
-        contents=contents,
-        volumes=volumes,
-    )
+    shown = {printable(key): printable(text) for key, text in contents.metadata.items()}
+    shown.pop(topics.GRAMMAR_TEXT, None)
+    unfinished = contents.unfinished or cut_short
+    return Capture(path, start, shown, unfinished, contents.damage, contents, volumes)
 
 
 def _surveyed(path: Path, front: bool) -> Contents:
-    from bilprov.captures.storage.survey import Survey
 
     with suppress(OSError, ValueError):  # to open it tells why
         mode = path.stat().st_mode
@@ -506,8 +463,6 @@ def _magic_damage(path: Path, file: BufferedReader, size: int) -> str:
     Raises CaptureError for what is no MCAP file: without its magic, and without a chunk with a
     correct checksum behind the first bytes.
     """
-    from bilprov.captures.storage.recovery import WINDOW, RecordFile
-
     front = file.read(len(MAGIC))
     if not front:
         raise CaptureError(f"{printable(path)} is empty: name an MCAP file")
@@ -576,18 +531,13 @@ def open_evidence(path: str | Path, wanted: Collection[str]) -> Evidence:
 
 def _wrong_checksum(path: Path, unfinished: bool) -> str:
     """Which checksum outside of the chunks is wrong, "" for none."""
-    from mcap.opcode import Opcode
-
-    from bilprov.captures.storage.contents import read_index
-    from bilprov.captures.storage.recovery import Found, RecordFile
-
     with _opened(path) as file:
         size = _size_of(file)
         if unfinished:
             walk = RecordFile(file, size).walk(len(MAGIC), size, only=())
             ended = any(isinstance(one, Found) and one.opcode == Opcode.DATA_END for one in walk)
             return "that of the summary, which is cut off" if ended else ""
-        contents = read_index(file, size)
+        contents = storage.read_index(file, size)
         if contents is None or contents.index is None:
             return "that of the summary, or the file does not begin and end as bilprov's do"
         # Older kits wrote none over all data.

@@ -53,7 +53,7 @@ def recorded_values(
         yield gap
 
 
-def one_by_one(values: Values) -> Iterator[Recorded]:
+def one_by_one(values: Values) -> Iterator[Any]:
     """Yield the same values, each chunk by itself."""
     for value in values:
         if isinstance(value, Events):

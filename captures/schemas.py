@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import zlib
 from functools import cache
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Self, TypeAlias
 
 import msgspec
 
@@ -251,6 +251,15 @@ class Checkpoint(Timed, frozen=True):
         except (msgspec.MsgspecError, ValueError, RecursionError):
             return False
         return True
+
+
+class Message(NamedTuple):
+    """One message of any topic, as stored; `t` is ns since the capture's start."""
+
+    topic: str
+    t: int
+    data: bytes
+    sequence: int
 
 
 class Resumption(Line, frozen=True, kw_only=True):

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -20,7 +20,6 @@ from bilprov.analyzer.replay.capture_decoding import capture_protocol
 from bilprov.analyzer.version import kit_version
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
-from bilprov.captures.reader import Evidence, open_evidence
 from bilprov.captures.schemas import CaseMark, look_class
 from bilprov.captures.text import quantity
 from bilprov.conformance.api import Options, run_suite
@@ -31,6 +30,9 @@ from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.conformance.runner.listeners.recorder import RUN, VERDICT
 from bilprov.spec.protocol import Protocol
+
+if TYPE_CHECKING:
+    from bilprov.captures.reader import Evidence
 
 SUMMED = ("verdict", "exit", "counts", "coverage", "profile")
 """The parts of a report, besides its cases, that must come out the same."""
@@ -124,6 +126,8 @@ def recheck(path: str, grammar: Protocol | None = None) -> Recheck:
     does not fit), is no recording of a run, or cannot be judged again; GrammarError where its
     grammar is not run because it does more than declare.
     """
+    from bilprov.captures.reader import open_evidence
+
     evidence = open_evidence(path, (RUN, VERDICT))
     run = _run(path, evidence)
     grammar = grammar or capture_protocol(

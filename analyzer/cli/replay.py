@@ -18,7 +18,6 @@ from bilprov.analyzer.output.outputs import Shown, opened_output
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay import capture_decoding as decoding
 from bilprov.analyzer.transport.signals import Stopper
-from bilprov.captures.reader import open_quickly, open_verified
 from bilprov.captures.schemas import MS, Chunk, Look
 from bilprov.captures.text import quantity
 from bilprov.captures.topics import HOST_RAW
@@ -94,6 +93,8 @@ class _Replay:
     """A capture that is played as the options ask: what is opened, decoded and shown of it."""
 
     def __init__(self, options: ReplayOptions) -> None:
+        from bilprov.captures.reader import open_quickly, open_verified
+
         self.options = options
         self.window = options.span.window(options.duration)
         in_lines = options.port is not None or options.shown.judged

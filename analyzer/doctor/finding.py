@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING
 from bilprov.analyzer.transport.errors import LinkError, path_in
 from bilprov.analyzer.transport.machine import Machine
 from bilprov.captures.errors import CaptureError
-from bilprov.captures.reader import open_capture
 from bilprov.captures.text import escape_controls, quantity
 from bilprov.captures.topics import GRAMMAR_HASH
 from bilprov.spec.protocol import grammar_hash
@@ -124,6 +123,8 @@ _SHOWN = 20  # places of losses that are told one by one
 
 def of_capture(path: Path) -> Iterator[Finding]:
     """Yield the findings on a capture file; one that blocks where anything of it is lost."""
+    from bilprov.captures.reader import open_capture
+
     try:
         capture = open_capture(path)
         losses = list(islice(capture.losses(), _SHOWN + 1))

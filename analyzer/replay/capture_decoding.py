@@ -20,7 +20,6 @@ from bilprov.analyzer.grammar_file import carried_protocol, load_protocol
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.transport.line_settings import LineSettings, line_named
 from bilprov.analyzer.transport.signals import Stopper
-from bilprov.captures.reader import Capture, StoredCheckpoint, open_capture
 from bilprov.captures.schemas import MS, Chunk, Direction, Line, Look, Recorded, look_class
 from bilprov.captures.text import printable
 from bilprov.captures.topics import CUT_START, DEVICE_RAW, GRAMMAR_HASH, HOST_RAW
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
     from bilprov.analyzer.filters.filter import Filter
     from bilprov.analyzer.totals.totals import Totals
     from bilprov.captures.events import Events
+    from bilprov.captures.reader import Capture, StoredCheckpoint
 
 Event = Chunk | Line | Look
 Paced = TypeVar("Paced", bound=Event)
@@ -305,6 +305,8 @@ def opened_at(
         with suppress(ValueError):  # it was saved with other settings
             decoder.resume(state)
             return Opened(capture, decoder, stored)
+    from bilprov.captures.reader import open_capture
+
     return opened_whole(open_capture(capture.path), protocol, timeout)
 
 

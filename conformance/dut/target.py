@@ -28,8 +28,7 @@ from bilprov.analyzer.transport.port import Port, open_port
 from bilprov.analyzer.transport.replug import Place
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures import topics
-from bilprov.captures.reader import Message
-from bilprov.captures.schemas import MS, Asked, Look, look_class
+from bilprov.captures.schemas import MS, Asked, Look, Message, look_class
 from bilprov.conformance.dut.simulator import CONFORMING, Fault, Simulator
 from bilprov.spec.codec import spaced
 from bilprov.spec.errors import UserError
