@@ -111,7 +111,7 @@ def cut(options: CutOptions) -> None:
     capture = opened.capture
     require_begun(capture, window.first)
     shared.note(*said_about(capture, protocol))
-    metadata = cut_metadata(capture, protocol, window.first, window.after, options.expression)
+    metadata = cut_metadata(capture, protocol, window, options.expression)
     times = 1 if test is None else 2
     with _copying(options, [capture], metadata, protocol, times=times) as copy:
         if test is None:

@@ -26,7 +26,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import accumulate, chain
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from msgspec.structs import replace
 
@@ -229,22 +229,18 @@ def edited_metadata(capture: Capture, protocol: Protocol, edit: str) -> dict[str
 
 
 def cut_metadata(
-    capture: Capture,
-    protocol: Protocol,
-    first: int | None,
-    after: int | None,
-    expression: str | None,
+    capture: Capture, protocol: Protocol, window: Window, expression: str | None
 ) -> dict[str, str]:
-    """The metadata of a part: what a filter selects from `first` to `after` (ns) of a capture."""
+    """The metadata of a part: what a filter selects in a window of a capture."""
     words = [f"cut {said_of(capture.path)}"]
     cut: dict[str, str] = {}
-    if first is not None:
-        words.append(f"--start {first / 1e9:g}")
+    if window.first is not None:
+        words.append(f"--start {window.first / 1e9:g}")
         # The decoders that cannot use the checkpoint are attached.
-        cut |= {topics.CUT_START: str(first), "attached": "yes"}
-    if after is not None:
-        words.append(f"--end {after / 1e9:g}")
-        cut[topics.CUT_END] = str(after)
+        cut |= {topics.CUT_START: str(window.first), "attached": "yes"}
+    if window.after is not None:
+        words.append(f"--end {window.after / 1e9:g}")
+        cut[topics.CUT_END] = str(window.after)
     if expression:
         words.append(f"--filter {printable(expression)}")
     return edited_metadata(capture, protocol, " ".join(words)) | cut
@@ -397,18 +393,9 @@ class _Part:
         """End the part where the recording goes on: nothing is under way there."""
         if self._in_step:
             return
-        quiet = replace(
-            self._known,
-            frame=b"",
-            frame_start=0,
-            frame_end=0,
-            waiting=(),
-            held=(),
-            out_of_step=None,
-            lost_at=None,
-            unsynced_since=None,
-        )
-        self._resume(quiet, max(self._known.time, self._now or 0))
+        quiet: dict[str, Any] = dict.fromkeys(("out_of_step", "lost_at", "unsynced_since"))
+        quiet |= {"frame": b"", "frame_start": 0, "frame_end": 0, "waiting": (), "held": ()}
+        self._resume(replace(self._known, **quiet), max(self._known.time, self._now or 0))
 
     def _write(self, batch: list[Timed]) -> None:
         self._copy.values(events_in(batch))

@@ -100,7 +100,7 @@ def edited(path: Path) -> None:
     test = compile_filter("faulty", protocol).started(capture.start)
     frames, part = _written(
         [capture],
-        cut_metadata(capture, protocol, None, None, "faulty"),
+        cut_metadata(capture, protocol, Window(), "faulty"),
         lambda copy: write_selected(
             lambda t: opened_at(capture, protocol, t), Window(), test, copy
         ),
