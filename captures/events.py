@@ -99,9 +99,8 @@ class Events:
         lines = iter(self.lines)
         data = self.data.tobytes()
         end = 0
-        for t, side, size in zip(
-            self.t.tolist(), self.side.tolist(), self.size.tolist(), strict=True
-        ):
+        rows = zip(self.t.tolist(), self.side.tolist(), self.size.tolist(), strict=True)
+        for t, side, size in rows:
             if side == LINE:
                 yield next(lines)
             else:

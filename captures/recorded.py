@@ -89,8 +89,7 @@ def _values(
         sides = codes[block.channel]
         raw = np.flatnonzero(sides <= DEVICE)
         t = _times_since(start, block.log_time)
-        sizes = (block.end - block.start)[raw]
-        chunks = Events(t[raw], sides[raw], sizes, block.data(raw))
+        chunks = Events(t[raw], sides[raw], (block.end - block.start)[raw], block.data(raw))
         others = np.flatnonzero(sides == LINE)
         done = 0
         for row, at in zip(others.tolist(), np.searchsorted(raw, others).tolist(), strict=True):

@@ -235,11 +235,8 @@ class CaptureWriter(Closing):
         if self._flush_at == NEVER:
             # A message may come late (a frame's `t` is its first byte): it waits from now, not `t`.
             self._flush_at = self._newest + FLUSH_AFTER
-        if (
-            self._newest >= self._flush_at
-            or self._chunk_messages >= CHUNK_MESSAGES
-            or self._chunk_bytes > CHUNK_BYTES
-        ):
+        full = self._chunk_messages >= CHUNK_MESSAGES or self._chunk_bytes > CHUNK_BYTES
+        if full or self._newest >= self._flush_at:
             self.flush()
 
     def _require_unchanged(self) -> None:

@@ -308,9 +308,8 @@ def effect_words(protocol: Protocol, frames: Iterable[bytes] | None = None) -> s
         return movement_words(protocol, every)
     judged = [judge(protocol, frame) for frame in dict.fromkeys(frames or ())]
     sent = [(one.instruction, dict(one.fields)) for one in judged if one.valid]
-    some: list[Any] = sent
-    if frames is None:
-        some = [(spec, None) for spec in protocol.instructions]
+    every_one = [(spec, None) for spec in protocol.instructions]
+    some: list[Any] = every_one if frames is None else sent
     words = [*_set_words(protocol, some), *_other_words(spec for spec, _ in some)]
     told = [f"it may {', '.join(words)}"] if words else []
     if some and not protocol.tells_changes:

@@ -465,8 +465,7 @@ def _built(owner: str, part: FieldSpec, given: dict[str, Any]) -> bytes:
         elif names:
             value = [names.get(one, one) for one in value]
         if part.many:
-            built = part.build(value)
-            value = part.parse(built)
+            value = part.parse(part.build(value))
         if part.in_range(value):
             return part.build(value)
     except (ValueError, TypeError, OverflowError) as error:

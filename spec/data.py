@@ -201,9 +201,7 @@ class FieldSpec(msgspec.Struct, frozen=True):
             return 1
         if self.names:
             return len({value for _, value in self.names if self.low <= value <= self.high})
-        if self.flags:
-            return 1 << self.mask.bit_count()
-        return self.high - self.low + 1
+        return 1 << self.mask.bit_count() if self.flags else self.high - self.low + 1
 
     @property
     def allowed(self) -> str:
@@ -277,8 +275,7 @@ class DataSpec(msgspec.Struct, frozen=True):
             count = many.prefix.parse(begun[at : at + many.prefix.size])
             return self.length + count * (1 if many.how == "bytes in front" else many.width)
         assert many.expression is not None
-        before = self.fields[:-1]
-        values = {part.name: part.parse(self.raw(part, begun)) for part in before}
+        values = {part.name: part.parse(self.raw(part, begun)) for part in self.fields[:-1]}
         try:
             count = int(many.expression(context_of(values, asked or {})))
         except (KeyError, AttributeError, TypeError, ArithmeticError):
@@ -288,9 +285,7 @@ class DataSpec(msgspec.Struct, frozen=True):
     def decode(self, data: bytes) -> dict[str, Any]:
         """The value of each field with a name, in data that have all of them."""
         return {
-            part.name: part.parse(self.raw(part, data))
-            for part in self.fields
-            if part.constant is None
+            one.name: one.parse(self.raw(one, data)) for one in self.fields if one.constant is None
         }
 
     def wrong(self, data: bytes) -> FieldSpec | None:
@@ -340,8 +335,7 @@ def read_data(
         raise WrongValue(f"{owner} has {len(members)} fields, allowed are {_MOST_FIELDS}")
     fields: list[FieldSpec] = []
     for place, member in enumerate(members):
-        offset = sum(part.size for part in fields)
-        one = _field(owner, member, offset)
+        one = _field(owner, member, sum(part.size for part in fields))
         how = one.many.how if one.many else "fixed"
         if how != "fixed" and place < len(members) - 1:
             raise WrongValue(f"{owner}.{one.name} is counted; only the last field may be")

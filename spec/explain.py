@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from itertools import chain, repeat
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 from msgspec.structs import replace
 
@@ -288,17 +288,16 @@ def _reply_groups(
     yield from _laid_out(way.layout, reply, data, meaning, open_data)
 
 
+Meaning: TypeAlias = Callable[[Part], tuple[str, bool]]
+"""Gives what a part means, and whether it is wrong."""
+
+
 def _laid_out(
-    layout: Layout,
-    one: Judgement | Reply,
-    data: DataSpec | None,
-    meaning: Callable[[Part, bytes], tuple[str, bool]],
-    open_data: str,
+    layout: Layout, one: Judgement | Reply, data: DataSpec | None, meaning: Meaning, open_data: str
 ) -> Iterator[BitGroup]:
     """Groups that hold every bit of a frame or an answer once, in order: its parts, and its data.
 
-    `meaning` gives what a part means, and whether it is wrong; `open_data` is what data mean that
-    are not read as fields (`data` is None).
+    `open_data` is what data mean that are not read as fields (`data` is None).
     """
     frame, whole = one.frame, isinstance(one, Reply) or not one.truncated
     before, behind, at = list[BitGroup](), list[BitGroup](), 0
@@ -333,18 +332,15 @@ def _bits(frame: bytes, at: int, size: int, low: int, width: int, *about: Any) -
     return BitGroup(at, size, low + width - 1, low, f"{value:0{width}b}", name, value, *rest)
 
 
-def _part_groups(
-    frame: bytes, part: Part, at: int, meaning: Callable[[Part, bytes], tuple[str, bool]]
-) -> Iterator[BitGroup]:
+def _part_groups(frame: bytes, part: Part, at: int, meaning: Meaning) -> Iterator[BitGroup]:
     """The group of a part; of constant bytes each is one."""
-    raw = frame[at : at + part.size]
     if part.constant:
         yield from _fixed_bytes(frame, at, part.constant, part)
     elif part.width:
-        yield _bits(frame, at, part.size, part.shift, part.width, part.name, *meaning(part, raw))
+        yield _bits(frame, at, part.size, part.shift, part.width, part.name, *meaning(part))
     else:
-        value = part.number.parse(raw)
-        yield _group(frame, at, part.size, part.name, *meaning(part, raw), value)
+        value = part.number.parse(part.raw(frame))
+        yield _group(frame, at, part.size, part.name, *meaning(part), value)
 
 
 def _fixed_bytes(
@@ -358,12 +354,7 @@ def _fixed_bytes(
 
 
 def _part_meaning(
-    protocol: Protocol,
-    layout: Layout,
-    one: Judgement | Reply,
-    asked: Judgement | None,
-    part: Part,
-    raw: bytes,
+    protocol: Protocol, layout: Layout, one: Judgement | Reply, asked: Judgement | None, part: Part
 ) -> tuple[str, bool]:
     """What a part of a frame, or of an answer to `asked`, means, and whether it is wrong."""
     request = isinstance(one, Judgement)
@@ -385,7 +376,8 @@ def _part_meaning(
         if layout.check.asked and asked is None:
             return "counts the request too", False
         right = layout.check.right(one.frame, covered(protocol, asked))
-        return ("right" if raw == right else f"right is {spaced(right)}"), raw != right
+        wrong = part.raw(one.frame) != right
+        return f"right is {spaced(right)}" if wrong else "right", wrong
     if request and part.role == "address":
         wrong = one.address is not None and not part.reaches(one.address)
         told = f"; allowed are {part.allowed}" if wrong else ""

@@ -143,8 +143,7 @@ class Memory(Declared, frozen=True):
 
     def cell(self, at: int | bytes) -> int:
         """The first cell for a value of the field `at`."""
-        number = int.from_bytes(at, "big") if isinstance(at, bytes) else at
-        return number * self.factor
+        return (int.from_bytes(at, "big") if isinstance(at, bytes) else at) * self.factor
 
 
 NO_DATA = construct.Struct()

@@ -385,9 +385,7 @@ class Protocol(msgspec.Struct, frozen=True, eq=False, dict=True):
 
     def directed(self, state: State) -> bool:
         """Whether the device moves, or is a car that has a direction in which to move."""
-        if self.wheels:
-            return self.wheels.drive(state).motion in self.wheels.turns
-        return state.moving
+        return self.wheels.drive(state).motion in self.wheels.turns if self.wheels else state.moving
 
     @property
     def car(self) -> Wheels:
@@ -942,12 +940,8 @@ def _instruction(
         members = body.answer.subcons if isinstance(body.answer, Struct) else [body.answer]
         if members and not reply.has_data:
             raise GrammarError(f"the answer of {name} has data; REPLY has no part Data()")
-        answer = read_data(
-            f"the answer of {name}",
-            members,
-            framed=reply.part("length") is not None,
-            asked=[*layout.told, *data.numbers],
-        )
+        framed, asked = reply.part("length") is not None, [*layout.told, *data.numbers]
+        answer = read_data(f"the answer of {name}", members, framed=framed, asked=asked)
     return InstructionSpec(
         id=identity,
         name=name,

@@ -180,31 +180,19 @@ def read_as(
             registers = registers_in(protocol, told, way.data, data, values)
         elif has_some:
             reason = f"it has {len(data)} data bytes, {needed} are due"
-    return Reply(
-        frame,
-        response,
-        names,
-        way,
-        fields,
-        to.repeated(to.read(frame)) if to else None,
-        reason,
-        open_end,
-        registers,
-    )
+    address = to.repeated(to.read(frame)) if to else None
+    return Reply(frame, response, names, way, fields, address, reason, open_end, registers)
 
 
 def build_reply(
-    protocol: Protocol,
-    asked: Judgement,
-    values: Mapping[str, Any] | None = None,
-    response: ResponseSpec | None = None,
+    protocol: Protocol, asked: Judgement, values: Mapping[str, Any] | None = None
 ) -> bytes:
-    """Build the answer to a request; b"" if none is due.
+    """Build the answer to a request, with the response that it is judged to get; b"" for none.
 
-    `values` are the fields of its data (what is not given is 0, or empty), and `response` the one
-    that is given instead of the right one. An error lacks its data where a length tells that.
+    `values` are the fields of its data (what is not given is 0, or empty). An error lacks its data
+    where a length tells that.
     """
-    response = response or asked.response
+    response = asked.response
     if response is NO_ANSWER:
         return b""
     way = _way_of(protocol, asked, response)

@@ -162,9 +162,7 @@ class Changed(Declared, frozen=True):
 
     def value(self, old: int | None) -> int | None:
         """The new value; None: not known."""
-        if old is None:
-            return None
-        return min(max(old * self.factor + self.plus, self.low), self.high)
+        return None if old is None else min(max(old * self.factor + self.plus, self.low), self.high)
 
 
 class Unknown:

@@ -191,8 +191,7 @@ def sniff(options: SniffOptions) -> int:
 
             feed = Feed(Recording(protocol), watched, stopper.stop, live=True)
             feed.keeps = isinstance(recorder, Spool)
-            output = ScreenOutput(feed, recorder)
-            pipeline.shown = AllShown(output, test, options.shown.count)
+            pipeline.shown = AllShown(ScreenOutput(feed, recorder), test, options.shown.count)
             expression = options.shown.expression or ""
             told = Told(title, source.start_wall, settings, rows, expression, test)
             try:

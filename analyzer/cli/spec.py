@@ -181,8 +181,7 @@ def wireshark(options: EmitOption) -> None:
     from bilprov.captures.schemas import MS
     from bilprov.spec.emit.wireshark import lua_dissector
 
-    protocol = protocol_in_use()
-    options.write(lua_dissector(protocol, SKEW / MS, dissector_program()))
+    options.write(lua_dissector(protocol_in_use(), SKEW / MS, dissector_program()))
 
 
 @command(GrammarOptions)

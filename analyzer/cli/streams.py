@@ -96,7 +96,10 @@ def standard_streams() -> Iterator[Callable[[int], int]]:
     Gives a function that flushes them and returns the exit code of a command that ended with a
     status. If a stream broke and that matters, one sentence on standard error says so.
     """
-    nowhere = _fill_closed_descriptors()
+    # /dev/null, read-only, takes the place of each closed descriptor 0, 1 or 2, so that no file or
+    # port that is opened later becomes a standard stream; `nowhere` is one more.
+    while (nowhere := os.open(os.devnull, os.O_RDONLY)) <= 2:
+        os.set_inheritable(nowhere, True)
     own = sys.stdin, sys.stdout, sys.stderr
     sys.stdin = sys.stdin or open(nowhere, closefd=False)  # noqa: SIM115
     opened = [pair for name in ("stdout", "stderr") if (pair := _opened(name, nowhere))]
@@ -122,16 +125,6 @@ def promise_verdict() -> None:
         descriptor = getattr(getattr(stream, "buffer", None), "raw", None)
         if isinstance(descriptor, _Descriptor):
             descriptor.verdict = True
-
-
-def _fill_closed_descriptors() -> int:
-    """Open /dev/null, read-only, in place of each closed descriptor 0, 1 or 2.
-
-    So no file or port opened later becomes a standard stream. Returns one more such descriptor.
-    """
-    while (number := os.open(os.devnull, os.O_RDONLY)) <= 2:
-        os.set_inheritable(number, True)
-    return number
 
 
 def _opened(name: str, nowhere: int) -> tuple[TextIO, _Descriptor] | None:

@@ -166,12 +166,8 @@ class InstructionMethods(ABC):
             raise AttributeError(f"{type(self).__name__} has no {name!r}")
         spec = self._methods.get(name)
         if spec is None:
-            raise AttributeError(
-                f"{self.protocol.name} has no instruction {name!r}; there are "
-                f"{', '.join(self._methods)}",
-                name=name,
-                obj=self,
-            )
+            why = f"{self.protocol.name} has no instruction {name!r}; there are "
+            raise AttributeError(why + ", ".join(self._methods), name=name, obj=self)
         signature, fields = self._signature(spec), methods.parameter_names(spec)
 
         def method(*given: Any, **named: Any) -> Any:
@@ -407,8 +403,7 @@ class DeviceDriver(InstructionMethods):
             self._require_silence(self._pause)
             self._rest.note(asked.address)
             pause = max(self._least_pause, round(self.protocol.timing.truncation_timeout * MS))
-            patience = round(self._patience * MS)
-            heard = self._do(exchange(self.protocol, asked, patience, pause))
+            heard = self._do(exchange(self.protocol, asked, round(self._patience * MS), pause))
             if not asked.answer_due:
                 self._in_step = True
                 return None

@@ -32,7 +32,6 @@ from bilprov.analyzer.export.rows import Chosen
 from bilprov.analyzer.replay import capture_decoding as decoding
 from bilprov.analyzer.version import kit_version
 from bilprov.captures.reader import Capture
-from bilprov.captures.schemas import Line
 from bilprov.captures.text import printable
 from bilprov.spec.protocol import Protocol
 
@@ -120,14 +119,20 @@ def _made(batches: Iterable[Batch], chosen: Chosen, asked: deque[int]) -> Iterat
                 while asked and number is not None and asked[0] < number:
                     asked.popleft()  # answers come in order
                 brought = bool(asked) and asked[0] == number
-                if passes or brought:
-                    yield _of_answer(record, stray=paired and not brought)
+                if brought or (passes and not paired):
+                    yield Packet(record.t, 1, _RX_START, record.data)
+                elif passes:
+                    why = record.reason if number is None else _ELSEWHERE
+                    yield Packet(record.t, 1, _RX_END, record.data, why)
             elif passes and isinstance(record, HostRecord):
                 if record.sequence is not None:
                     asked.append(record.sequence)
                 yield from _of_host(record)
             elif passes and isinstance(record, LineRecord):
-                yield _of_line(record.value)
+                line = record.value
+                event = _LINE_EVENTS.get(line.event, _STATUS_CHANGE)
+                comment = f"{line.event}: {line.detail}" if line.detail else line.event
+                yield Packet(line.t, _TAPS.index(line.tap or "host"), event, b"", comment)
 
 
 def _of_host(record: HostRecord) -> Iterator[Packet]:
@@ -137,21 +142,6 @@ def _of_host(record: HostRecord) -> Iterator[Packet]:
     yield Packet(record.end, 0, _TX_START, record.data)
     if record.kind == "truncated":
         yield Packet(record.known, 0, _TX_END, b"", "the frame before it was cut short")
-
-
-def _of_answer(record: DeviceRecord, *, stray: bool) -> Packet:
-    data = record.data
-    if not stray:
-        return Packet(record.t, 1, _RX_START, data)
-    why = record.reason if record.instruction is None else _ELSEWHERE
-    return Packet(record.t, 1, _RX_END, data, why)
-
-
-def _of_line(line: Line) -> Packet:
-    interface = _TAPS.index(line.tap or "host")
-    event = _LINE_EVENTS.get(line.event, _STATUS_CHANGE)
-    comment = f"{line.event}: {line.detail}" if line.detail else line.event
-    return Packet(line.t, interface, event, b"", comment)
 
 
 # The format: https://ietf-opsawg-wg.github.io/draft-ietf-opsawg-pcap/draft-ietf-opsawg-pcapng.html

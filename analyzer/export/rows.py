@@ -16,14 +16,7 @@ from bilprov.analyzer.decode.json_lines import JsonLine, json_line
 from bilprov.analyzer.decode.records import Record
 from bilprov.analyzer.filters.fields import Kind, fields_of
 from bilprov.analyzer.output.outputs import Output, Shown, Window, opened_output
-from bilprov.analyzer.output.row_columns import (
-    COLUMNS,
-    Column,
-    RowStyle,
-    Value,
-    converted,
-    usual_columns,
-)
+from bilprov.analyzer.output.row_columns import COLUMNS, Column, RowStyle, converted, usual_columns
 from bilprov.analyzer.replay.capture_decoding import TEXT_BATCH, Progress, opened_whole
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import Capture
@@ -50,8 +43,7 @@ class Chosen(NamedTuple):
         """Yield the rows. Raises CaptureError if the capture cannot be read."""
         shown = Shown(Output(), self.test, window=self.window)
         opened = opened_whole(self.capture, self.protocol)
-        batches = opened.decoded(self.progress, self.window, TEXT_BATCH)
-        return map(shown.show, batches)
+        return map(shown.show, opened.decoded(self.progress, self.window, TEXT_BATCH))
 
 
 def write_text(chosen: Chosen, stream: BinaryIO, style: Literal["csv", "jsonl"]) -> None:
@@ -185,5 +177,5 @@ def _type(pa: Any, name: str, protocol: Protocol) -> Any:
     }.get(field.kind, whole)
 
 
-def _harmless(text: Value) -> str | None:
+def _harmless(text: object) -> str | None:
     return None if text is None else escape_controls(str(text))

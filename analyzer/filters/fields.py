@@ -287,8 +287,7 @@ def instant(text: str) -> Instant | None:
     """
     try:
         if "-" in text[:5]:
-            since = datetime.fromisoformat(text).timestamp()
-            return Instant(False, round(since * 1e6) * 1000)
+            return Instant(False, round(datetime.fromisoformat(text).timestamp() * 1e6) * 1000)
         at = clock.fromisoformat(f"0{text}" if text[1:2] == ":" else text)
     except (ValueError, OverflowError, OSError):
         return None

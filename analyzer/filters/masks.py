@@ -15,17 +15,8 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from bilprov.analyzer.decode.batch import (
-    GARBAGE,
-    INSTRUCTION,
-    KINDS,
-    NO_VERDICT,
-    Batch,
-    DeviceRows,
-    HostRows,
-    Mask,
-    Selection,
-)
+from bilprov.analyzer.decode import batch as batches
+from bilprov.analyzer.decode.batch import Batch, DeviceRows, HostRows, Mask, Selection
 from bilprov.analyzer.decode.json_lines import OUTCOME_WORDS, JsonLine, json_line
 from bilprov.analyzer.filters.fields import DAY, NONE, STEP, UNCODED, Kind, fields_of, offset
 from bilprov.spec.arrays import layouts
@@ -88,7 +79,7 @@ def _columns(*makers: Makers) -> Columns:
 
 def _host_columns(protocol: Protocol, rows: HostRows, start: int | None) -> Columns:
     """The columns of the host's rows."""
-    garbage, head, tail = rows.kind == GARBAGE, protocol.layout.head, protocol.layout.tail
+    garbage, head, tail = rows.kind == batches.GARBAGE, protocol.layout.head, protocol.layout.tail
 
     def length() -> Column:
         return (
@@ -96,7 +87,7 @@ def _host_columns(protocol: Protocol, rows: HostRows, start: int | None) -> Colu
         )
 
     def data() -> Octets:
-        size = np.maximum(rows.size - head - np.where(rows.kind == INSTRUCTION, tail, 0), 0)
+        size = np.maximum(rows.size - head - np.where(rows.kind == batches.INSTRUCTION, tail, 0), 0)
         return Octets(rows.data, rows.offset + head, np.where(garbage, -1, size))
 
     def name() -> Column:
@@ -105,7 +96,7 @@ def _host_columns(protocol: Protocol, rows: HostRows, start: int | None) -> Colu
         return Words(code, [spec.name if spec else None for spec in (*specs, None)])
 
     def carried() -> Iterator[_Carried]:
-        judged = (rows.kind == INSTRUCTION) & np.isin(rows.verdict, (VALID, BAD_DATA))
+        judged = (rows.kind == batches.INSTRUCTION) & np.isin(rows.verdict, (VALID, BAD_DATA))
         for spec in protocol.instructions:
             if spec.fields:
                 found = np.flatnonzero(judged & (rows.header == protocol.key_of(spec.id)))
@@ -119,7 +110,7 @@ def _host_columns(protocol: Protocol, rows: HostRows, start: int | None) -> Colu
         "address": partial(_part_of, protocol, rows, "address"),
         "data": data,
         "direction": lambda: _one("host"),
-        "kind": lambda: Words(rows.kind, KINDS),
+        "kind": lambda: Words(rows.kind, batches.KINDS),
         "name": name,
         "faulty": lambda: _truth(rows.verdict != VALID),
         "sequence": lambda: Numbers(rows.sequence, rows.sequence >= 0),
@@ -127,7 +118,7 @@ def _host_columns(protocol: Protocol, rows: HostRows, start: int | None) -> Colu
     odd = (rows.verdict != VALID) | rows.uncertain
     judged = _of_judgements(protocol, rows, rows.due, attrgetter("judgement"))
     writing = [protocol.key_of(spec.id) for spec in protocol.instructions if spec.writes]
-    told = rows.kind == INSTRUCTION, writing, attrgetter("judgement")
+    told = rows.kind == batches.INSTRUCTION, writing, attrgetter("judgement")
     fields = _of_fields(protocol, rows, carried, *told)
     return _columns(own, _of_both(rows, odd, start), judged, fields)
 
@@ -244,7 +235,7 @@ def _of_judgements(
     `due` tells to which an answer is due (None: to each). The records of those that are faulty are
     asked where the verdict alone does not tell their answer.
     """
-    there = rows.verdict != NO_VERDICT
+    there = rows.verdict != batches.NO_VERDICT
     parts = [part for spec in protocol.instructions for part in spec.fields]
     by_verdict = protocol.plain and not any(part.code for part in parts)
     odd = np.flatnonzero(there & (rows.verdict != VALID) & (not by_verdict))
@@ -289,7 +280,7 @@ def _part_of(protocol: Protocol, rows: HostRows, role: Role) -> Column:
     """A part of the frames, where what stands before the data is whole."""
     layout = protocol.layout
     part = layout.part(role)
-    there = (rows.kind != GARBAGE) & (rows.size >= layout.head)
+    there = (rows.kind != batches.GARBAGE) & (rows.size >= layout.head)
     if part is None or part.size > WIDEST:
         return NOTHING
     found = np.flatnonzero(there)

@@ -128,12 +128,8 @@ def _counts(totals: Totals, duration: float, load: Json | None) -> Json:
             name: dict(totals.faults_of(side).most_common()) for name, side in directions.items()
         },
         "by_instruction": {
-            name: {
-                "frames": found.frames,
-                "responses": found.responses,
-                "anomalies": found.faults,
-                "latency": spread_json(found.latencies),
-            }
+            name: parts_of(found, "frames", "responses")
+            | {"anomalies": found.faults, "latency": spread_json(found.latencies)}
             for name, found in instructions.items()
         },
         "latency": spread_json(totals.latencies.spread()),

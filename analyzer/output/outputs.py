@@ -167,9 +167,8 @@ class Shown(msgspec.Struct):
 
     def _chosen(self, batch: Batch) -> Selection | None:
         """The rows inside the window that pass the filter; None for all."""
-        chosen = None
-        if self.window.bounded:
-            chosen = batch.inside(self.window.first, self.window.after)
+        window = self.window
+        chosen = batch.inside(window.first, window.after) if window.bounded else None
         if self.test is not None:
             passing = self.test.selection(batch)
             chosen = passing if chosen is None else chosen & passing

@@ -162,8 +162,7 @@ def _histogram(counts: Json) -> Iterator[RenderableType]:
     rows = []
     for one in bins:
         least, below = (f"{edge * 1000:.{decimals}f}" for edge in (one["least"], one["below"]))
-        drawn_bar = bar(one["count"] / most, _BAR)
-        rows.append((least, below, f"{one['count']:,}", drawn_bar))
+        rows.append((least, below, f"{one['count']:,}", bar(one["count"] / most, _BAR)))
     yield Text()
     yield table(("from/ms", "to/ms", "answers", "latency"), rows, right="from/ms to/ms answers")
 

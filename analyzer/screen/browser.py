@@ -96,8 +96,7 @@ class Browser(App[str | None]):
         self.frames = FrameList(feed.recording, told.rows, told.start_wall, self._chosen)
         self.fields = FieldTree(feed.recording.protocol)
         self.prompt = Prompt(self._left_prompt)
-        names = ("head", "status", "car", "figures")
-        panes = [Static(id=name, markup=False) for name in names]
+        panes = [Static(id=name, markup=False) for name in ("head", "status", "car", "figures")]
         self.head, self.status, self.car, self.figures = panes
 
     def compose(self) -> ComposeResult:

@@ -82,8 +82,7 @@ def _host(protocol: Protocol, data: bytes, look: Look, state: Iterable[Detail]) 
 def _device(
     protocol: Protocol, record: DeviceRecord, look: Look, state: Iterable[Detail]
 ) -> Iterator[Detail]:
-    asked = record.answered if record.reply else None
-    response = explain_reply(protocol, record.data, asked)
+    response = explain_reply(protocol, record.data, record.answered if record.reply else None)
     yield from _bits(response.groups, record.data, look)
     yield Detail("means", response.meaning)
     yield from state

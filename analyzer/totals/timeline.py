@@ -235,8 +235,7 @@ _FIRST_RANGE = 3  # where the ranges begin, each with the columns last, low, hig
 
 def _merged_states(table: Table, first: Places, start: Places, step: int) -> Table:
     """The states of each step in a row, and what holds after it in another if the next is empty."""
-    last = np.append(first[1:], len(table)) - 1
-    rows = table[last]
+    rows = table[np.append(first[1:], len(table)) - 1]  # the last of each step
     rows[:, 0] = start
     entry = table[first - 1]  # what held when the step began, unless it was set just then
     entered = (table[first, 0] > start) & (first > 0)

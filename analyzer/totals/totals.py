@@ -15,17 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bilprov.analyzer.decode.batch import (
-    KINDS,
-    NO_VERDICT,
-    Batch,
-    DeviceRows,
-    HostRows,
-    Kinds,
-    Mask,
-    OtherRows,
-    Selection,
-)
+from bilprov.analyzer.decode import batch as batches
+from bilprov.analyzer.decode.batch import Batch, DeviceRows, HostRows, Mask, Selection
 from bilprov.analyzer.decode.records import LineRecord, serious_kinds
 from bilprov.captures.schemas import MS
 from bilprov.spec.arrays.layouts import OUTCOMES, VALID
@@ -294,7 +285,11 @@ class Totals:
     def add(self, batch: Batch, chosen: Selection | None = None) -> None:
         """Count the chosen rows (None: all) of a batch, which follows those before it."""
         host, device, other = chosen or (None, None, None)
-        self._add_others(batch.others, other)
+        for place, record in enumerate(batch.others.listed):
+            side = record.value.tap if isinstance(record, LineRecord) else ""
+            for kind in serious_kinds(record) if other is None or other[place] else ():
+                self._faults[side, None, kind] += 1
+                self.rates.count("faults", batch.others.t[place : place + 1])
         heard = self._add_hosts(batch.hosts, host) + self._add_devices(batch.devices, device)
         self._follow(batch.hosts, heard)
 
@@ -377,13 +372,13 @@ class Totals:
         if not len(end):
             return []
         header = hosts.header[rows]
-        self.kinds += Counter(dict(zip(KINDS, np.bincount(kind).tolist(), strict=False)))
+        self.kinds += Counter(dict(zip(batches.KINDS, np.bincount(kind).tolist(), strict=False)))
         self.host_bytes += int(size.sum())
         self.rates.count("host_bytes", end, size)
         self._add_kinds("host", hosts.faults.of(mask), hosts.known[rows], header)
         start, last = int(hosts.t[rows].min()), int(end.max())
         if self.kinds["garbage"]:
-            frames = verdict != NO_VERDICT
+            frames = verdict != batches.NO_VERDICT
             header, verdict, end = header[frames], verdict[frames], end[frames]
         self._headers += np.bincount(header, minlength=256)
         if hosts.due is not None:
@@ -427,17 +422,10 @@ class Totals:
         self.latencies.add(latency, self._groups.take(header))
         return [int(t.min()), int(t.max())]
 
-    def _add_others(self, others: OtherRows, mask: Mask | None) -> None:
-        for place, record in enumerate(others.listed):
-            side = record.value.tap if isinstance(record, LineRecord) else ""
-            for kind in serious_kinds(record) if mask is None or mask[place] else ():
-                self._faults[side, None, kind] += 1
-                self.rates.count("faults", others.t[place : place + 1])
-
     def _add_kinds(
         self,
         direction: str,
-        found: Kinds,
+        found: batches.Kinds,
         t: NDArray[np.int64],
         header: NDArray[np.uint8],
         about: Mask | None = None,

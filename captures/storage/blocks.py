@@ -108,14 +108,8 @@ class Messages(Struct, frozen=True, eq=False):
     def single(self) -> Iterator[Stored]:
         """Yield the rows as single messages."""
         lost = self.lost
-        for channel, sequence, log_time, start, end in zip(
-            self.channel.tolist(),
-            self.sequence.tolist(),
-            self.log_time.tolist(),
-            self.start.tolist(),
-            self.end.tolist(),
-            strict=True,
-        ):
+        columns = (getattr(self, name).tolist() for name in _COLUMNS)
+        for start, end, channel, sequence, log_time in zip(*columns, strict=True):
             yield Stored(log_time, sequence, channel, self.content[start:end], lost)
             lost = ""
 

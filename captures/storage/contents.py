@@ -147,10 +147,8 @@ def _read_index(file: BufferedReader, size: int) -> Contents:
         elif opcode == Opcode.CHANNEL:
             channel = parsed(opcode, summary[at + 9 : at + 9 + length], own=True)
             table[channel.id] = channel.topic, channel.message_encoding
-            if (
-                table[channel.id] != known.get(channel.id)
-                or channel.metadata.get(topics.CHANNEL_START_KEY) != start
-            ):
+            began = channel.metadata.get(topics.CHANNEL_START_KEY)
+            if table[channel.id] != known.get(channel.id) or began != start:
                 raise Damaged("a channel is not one of bilprov's")
         elif opcode == Opcode.STATISTICS:
             stated = parsed(opcode, summary[at + 9 : at + 9 + length], own=True)

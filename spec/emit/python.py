@@ -153,7 +153,10 @@ def _device_stub(protocol: Protocol, grammar: str) -> str:
             returns = taken_type(next(iter(told.values())), told=True)
         elif told:
             returns = f"{_class_name(name)}Answer"
-            answers += _named_tuple(returns, told)
+            answers += f"class {returns}(NamedTuple):\n"
+            for word, field in told.items():
+                answers += f"    {word}: {taken_type(field, told=True)}\n"
+            answers += "\n"
             typing.add("NamedTuple")
         parameters = parameter_names(spec)
         taken = {word: taken_type(one) for word, one in parameters.items()}
@@ -185,11 +188,6 @@ def _class_name(name: str) -> str:
     return "".join(word.capitalize() for word in name.split("_"))
 
 
-def _named_tuple(name: str, told: Mapping[str, FieldSpec]) -> str:
-    fields = "".join(f"    {word}: {taken_type(part, told=True)}\n" for word, part in told.items())
-    return f"class {name}(NamedTuple):\n{fields}\n"
-
-
 def _method(name: str, spec: InstructionSpec, taken: Sequence[str], returns: str) -> str:
     parameters = parameter_names(spec)
     given = ["self", *taken]
@@ -213,8 +211,7 @@ def _parameter(name: str, part: FieldSpec) -> str:
 
 def _wrapped(text: str, taken: int) -> str:
     """Wrap text into docstring lines; the quotes take `taken` characters of the first line."""
-    room = _WIDTH - 8
-    lines = textwrap.wrap("_" * taken + _quoted(text), room, break_long_words=False)
+    lines = textwrap.wrap("_" * taken + _quoted(text), _WIDTH - 8, break_long_words=False)
     return "\n        ".join(lines)[taken:]
 
 

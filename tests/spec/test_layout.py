@@ -11,6 +11,7 @@ import pytest
 from construct import Construct, ConstructError, Container
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from benchmarks.construct_alone import question
 from bilprov.analyzer.grammar_file import load_protocol
@@ -149,7 +150,7 @@ def test_an_error_is_read_back(seed: int) -> None:
     asked = judge(protocol, one_frame(draw, protocol)[0])
     if asked.response.name != "OK":
         return
-    error = build_reply(protocol, asked, response=protocol.codes[21])
+    error = build_reply(protocol, replace(asked, response=protocol.codes[21]))
     assert reply_size(protocol, error + b"\0\0", asked) == len(error), drawn(seed).text
     read = read_reply(protocol, error, asked)
     assert (read.names, read.reason) == (("NO",), ""), drawn(seed).text
