@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
 import msgspec
+from msgspec.structs import replace
 
 from bilprov.spec.codec import Judgement, Registers, data_bytes, field_words, registers_in
 from bilprov.spec.data import DataSpec, FieldSpec
@@ -135,9 +136,10 @@ def read_reply(
         if size == len(frame) or open_end:
             right = _is_right(protocol, way, frame, asked)
             if right or not found:
-                open_end = open_end and (layout.check is None or layout.check.asked)
                 reason = _damage(protocol, layout, frame, asked)
-                found = read_as(protocol, way, frame, asked, reason, open_end=open_end)
+                found = read_as(protocol, way, frame, asked, reason)
+                if open_end and (layout.check is None or layout.check.asked):
+                    found = replace(found, open_end=True)
             if right:
                 break
     if found:
@@ -152,13 +154,7 @@ def read_reply(
 
 
 def read_as(
-    protocol: Protocol,
-    way: Way,
-    frame: bytes,
-    asked: Judgement | None,
-    reason: str = "",
-    *,
-    open_end: bool = False,
+    protocol: Protocol, way: Way, frame: bytes, asked: Judgement | None, reason: str = ""
 ) -> Reply:
     """Read an answer that is laid out in this way; the data of one that is damaged are left out.
 
@@ -181,7 +177,7 @@ def read_as(
         elif has_some:
             reason = f"it has {len(data)} data bytes, {needed} are due"
     address = to.repeated(to.read(frame)) if to else None
-    return Reply(frame, response, names, way, fields, address, reason, open_end, registers)
+    return Reply(frame, response, names, way, fields, address, reason, registers=registers)
 
 
 def build_reply(
