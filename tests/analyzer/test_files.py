@@ -6,6 +6,7 @@ import os
 import stat
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -13,28 +14,17 @@ import pytest
 from bilprov.analyzer.files import read_bounded, whole_file, write_whole
 
 
-def test_the_file_appears_when_it_is_whole(tmp_path: Path) -> None:
-    file = tmp_path / "a"
-    with whole_file(file) as out:
-        out.write(b"new")
-        assert not file.exists()
-
-    assert file.read_bytes() == b"new"
-    assert list(tmp_path.iterdir()) == [file]
-
-
-def test_an_error_leaves_the_old_content_and_nothing_else(tmp_path: Path) -> None:
+@pytest.mark.parametrize("interrupted", [False, True])
+def test_the_old_content_stays_until_the_new_is_whole(tmp_path: Path, interrupted: bool) -> None:
     file = tmp_path / "a"
     file.write_bytes(b"old")
-
-    def interrupted() -> None:
-        with whole_file(file) as out:
-            out.write(b"half")
+    with suppress(KeyboardInterrupt), whole_file(file) as out:
+        out.write(b"new")
+        assert file.read_bytes() == b"old"
+        if interrupted:
             raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt):
-        interrupted()
-    assert file.read_bytes() == b"old"
+    assert file.read_bytes() == (b"old" if interrupted else b"new")
     assert list(tmp_path.iterdir()) == [file]
 
 

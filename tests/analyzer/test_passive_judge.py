@@ -10,7 +10,6 @@ import pytest
 
 from bilprov.analyzer.decode.session import BOTH, Session
 from bilprov.analyzer.monitor.passive_judge import KEPT, MOVING, Findings, PassiveJudge
-from bilprov.analyzer.output.findings import sentences
 from bilprov.analyzer.transport.port import open_port
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Direction, Line, Look
@@ -347,51 +346,6 @@ def test_sniff_judges_what_passes_a_bridge(protocol: Protocol, wrong: dict[bytes
     assert code == bool(wrong)
     last = err.decode().splitlines()[-1]
     assert last == ("1 violation: 1 disagreeing" if wrong else "no violation was seen")
-
-
-def test_frames_of_another_layout_are_covered_by_what_can_be_counted_there() -> None:
-    protocol = load(FRAMED["relay_board"])
-    events: list[Event] = []
-    for to in (1, 2):
-        frame = build(protocol, "On", {"address": to})
-        answer = build_reply(protocol, judge(protocol, frame))
-        events += [host(to * 200, frame.hex()), device(to * 200 + 1, answer.hex())]
-    events.append(host(600, frame[:-1].hex() + f"{frame[-1] ^ 1:02x}"))  # damaged
-
-    found = judged(protocol, events)
-
-    covered = {one.what: (one.done, one.of) for one in found.coverage}
-    assert covered == {"instructions": (1, len(protocol.instructions))}
-    assert (found.instructions, found.judged) == (3, 2)
-    assert found.not_judged == {"no answer is due": 1}
-    assert not found.violations
-
-
-def test_a_device_may_have_what_a_grammar_lacks() -> None:
-    protocol = load(FRAMED["modbus_rtu"])
-    events = [host(0, "112b0e0100b1b4"), device(4, "112b0e0183000003000156010150020331 2e30a8a4")]
-
-    found = judged(protocol, events)
-
-    assert not found.violations
-    assert found.not_judged == {"the grammar may lack the instruction": 1}
-
-
-def test_of_another_grammar_its_declarations_are_named_and_no_readings_of_the_car() -> None:
-    protocol = load(FRAMED["relay_board"])
-    frame = build(protocol, "On", {"address": 1})
-    answer = build_reply(protocol, judge(protocol, frame))
-    late = protocol.timing.answer_deadline + 50
-
-    events = [host(0, frame.hex()), device(late, answer.hex()), host(5_000, frame.hex())]
-    found = judged(protocol, events, end=20_000)
-
-    assert found.readings == {"later than TIMING.answer_deadline": 1}
-    (violation,) = found.listed
-    assert (violation.kind, violation.reading) == ("unanswered", "TIMING.answer_longest")
-    told = list(sentences(found))
-    assert "legal, but later than TIMING.answer_deadline: 1" in told
-    assert not any("R-" in one for one in told)
 
 
 def test_an_answer_that_nobody_asked_for_is_not_told_a_right_address() -> None:

@@ -15,14 +15,9 @@ from bilprov.analyzer.cli.options import compiled
 from bilprov.analyzer.decode.anomalies import UNCLEAR
 from bilprov.analyzer.decode.batch import Records
 from bilprov.analyzer.decode.json_lines import JsonLine, json_line
-from bilprov.analyzer.decode.records import (
-    HostRecord,
-    Record,
-    is_frame,
-)
+from bilprov.analyzer.decode.records import HostRecord, Record, is_frame
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.edit.cut import (
-    CUT_THROUGH,
     edited_metadata,
     new_capture,
     write_selected,
@@ -31,7 +26,7 @@ from bilprov.analyzer.edit.cut import (
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.replay.capture_decoding import opened_at
 from bilprov.captures.reader import open_capture, open_quickly
-from bilprov.captures.schemas import MS, Chunk, Line
+from bilprov.captures.schemas import MS, Chunk
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.captures import write_capture
@@ -223,24 +218,6 @@ def number_of(line: JsonLine) -> int | None:
 
 
 SAMPLE = ROOT / "captures" / "samples" / "examples.mcap"
-
-
-def gaps_of(path: Path) -> list[str]:
-    events = open_capture(path).events()
-    return [e.detail for e in events if isinstance(e, Line) and e.event == "gap" and e.detail]
-
-
-@pytest.mark.parametrize(("end", "gaps"), [(10.5, 1), (11, 0)])
-def test_a_gap_is_where_the_end_cuts_through_a_frame(
-    tmp_path: Path, protocol: Protocol, end: float, gaps: int
-) -> None:
-    events = [Chunk(10 * MS, "host", b"\x11"), Chunk(int(10.9 * MS), "host", b"\x05")]
-    how = {"skew": 0, "attached": False, "heard": ["host", "device"], "timeout": None}
-    path = written(tmp_path / "a.mcap", events, how)
-    part = cut(path, protocol, Window(None, int(end * MS)))
-    assert gaps_of(part) == [CUT_THROUGH] * gaps
-    kinds = [r.kind for r in read_capture(part, protocol) if isinstance(r, HostRecord)]
-    assert kinds == ["garbage" if gaps else "instruction"]
 
 
 def test_a_stop_leaves_nothing(tmp_path: Path, protocol: Protocol) -> None:

@@ -22,14 +22,7 @@ from tests.support.decoding import Event, capture_session, conversation, decoded
 from tests.support.expressions import expressions
 from tests.support.firmware import needs
 from tests.support.traffic import ACTS, SETTINGS, Acts, played
-from tests.support.wireshark import (
-    WALL,
-    blocks,
-    capture_of,
-    exported,
-    options,
-    packets,
-)
+from tests.support.wireshark import WALL, blocks, capture_of, exported, options, packets
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("columns_at_once")]
 

@@ -20,12 +20,7 @@ from bilprov.analyzer.replay.capture_decoding import opened_at, said_about
 from bilprov.analyzer.replay.recorder import Recorder, Rotation, rotation_at, session_metadata
 from bilprov.captures import topics
 from bilprov.captures.parts import part_paths
-from bilprov.captures.reader import (
-    Capture,
-    open_capture,
-    open_indexed,
-    open_quickly,
-)
+from bilprov.captures.reader import Capture, open_capture, open_indexed, open_quickly
 from bilprov.captures.schemas import MS, Chunk, Line, Resumption
 from bilprov.spec.protocol import Protocol
 from tests.support.attaching import Talk, attached

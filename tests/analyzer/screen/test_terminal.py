@@ -62,9 +62,16 @@ def test_a_capture_shows_what_fits_at_each_size_and_gives_the_terminal_back(tmp_
 
 
 @contextmanager
-def tapped() -> Iterator[tuple[PtyPair, PtyPair]]:
-    with open_pty() as host, open_pty() as device:
-        yield host, device
+def sniffed(
+    folder: Path, size: tuple[int, int], *words: str, **environment: str
+) -> Iterator[tuple[Tmux, PtyPair, PtyPair]]:
+    """The screen of `sniff` on two taps, which other programs write to."""
+    with (
+        open_pty() as host,
+        open_pty() as device,
+        terminal(folder, size, "sniff", host.name, device.name, *words, **environment) as tmux,
+    ):
+        yield tmux, host, device
 
 
 def talk(
@@ -81,10 +88,7 @@ def talk(
 
 def test_sniff_follows_the_line_at_each_size_and_finishes_its_capture(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    with (
-        tapped() as (host, device),
-        terminal(tmp_path, SIZES[0], "sniff", host.name, device.name, "-w", str(path)) as tmux,
-    ):
+    with sniffed(tmp_path, SIZES[0], "-w", str(path)) as (tmux, host, device):
         tmux.wait("q quit")
         for size in SIZES:
 
@@ -104,10 +108,7 @@ def test_sniff_follows_the_line_at_each_size_and_finishes_its_capture(tmp_path: 
 
 
 def test_a_session_without_a_file_is_saved_if_asked(tmp_path: Path) -> None:
-    with (
-        tapped() as (host, device),
-        terminal(tmp_path, (80, 24), "sniff", host.name, device.name) as tmux,
-    ):
+    with sniffed(tmp_path, (80, 24)) as (tmux, host, device):
         tmux.wait("q quit")
         talk(host, device, tmux, "Speed speed=80")
         tmux.press("q")
@@ -143,10 +144,7 @@ def test_every_way_out_leaves_a_sane_terminal_and_a_finished_capture(
     tmp_path: Path, how: str | signal.Signals
 ) -> None:
     path = tmp_path / "run.mcap"
-    with (
-        tapped() as (host, device),
-        terminal(tmp_path, (80, 24), "sniff", host.name, device.name, "-w", str(path)) as tmux,
-    ):
+    with sniffed(tmp_path, (80, 24), "-w", str(path)) as (tmux, host, device):
         tmux.wait("q quit")
         talk(host, device, tmux, "Speed speed=80")
         if isinstance(how, str):
@@ -170,11 +168,7 @@ def test_ctrl_z_suspends_the_screen_which_goes_on_where_it_was() -> None:
 
 def test_an_unplugged_tap_is_told_on_the_screen_and_in_the_last_line(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    with (
-        open_pty() as device,
-        open_pty() as host,
-        terminal(tmp_path, (100, 30), "sniff", host.name, device.name, "-w", str(path)) as tmux,
-    ):
+    with sniffed(tmp_path, (100, 30), "-w", str(path)) as (tmux, host, device):
         tmux.wait("q quit")
         talk(host, device, tmux, "Speed speed=80")
         device.close()
@@ -193,10 +187,7 @@ def test_a_full_disk_is_told_on_the_screen_which_goes_on_and_in_the_last_line(
     tmp_path: Path,
 ) -> None:
     path = tmp_path / "run.mcap"
-    with (
-        tapped() as (host, device),
-        terminal(tmp_path, (100, 30), "sniff", host.name, device.name, "-w", str(path)) as tmux,
-    ):
+    with sniffed(tmp_path, (100, 30), "-w", str(path)) as (tmux, host, device):
         tmux.wait("q quit")
         talk(host, device, tmux, "Speed speed=80")
         tmux.wait("run.mcap")
@@ -275,12 +266,7 @@ def test_a_screen_that_fails_ends_no_recording(tmp_path: Path, named: bool) -> N
     (tmp_path / "sitecustomize.py").write_text(BREAKING)
     places = f"{ROOT / 'src'}{os.pathsep}{tmp_path}"
     words = ["-w", "run.mcap"] if named else []
-    with (
-        tapped() as (host, device),
-        terminal(
-            tmp_path, (100, 30), "sniff", host.name, device.name, *words, PYTHONPATH=places
-        ) as tmux,
-    ):
+    with sniffed(tmp_path, (100, 30), *words, PYTHONPATH=places) as (tmux, host, device):
         talk(host, device, tmux, "the screen has failed; listening goes on without it")
         for _ in range(3):
             os.write(host.master, b"\x11\x51")

@@ -13,12 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bilprov.analyzer.decode.records import (
-    HostRecord,
-    Record,
-    is_frame,
-    serious_faults,
-)
+from bilprov.analyzer.decode.records import HostRecord, Record, is_frame, serious_faults
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.totals import timeline
 from bilprov.analyzer.totals.timeline import Timeline, numbers_of

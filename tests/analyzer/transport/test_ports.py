@@ -172,11 +172,13 @@ def test_every_byte_passes_a_socket_unchanged_without_delay_until_its_peer_close
         assert read_from(port, 256) == ALL
         with pytest.raises(LinkError):
             read_from(port, 1)
+        port.close()  # twice, with the end of the block
 
 
 def test_a_loop_passes_every_byte_that_fits() -> None:
     with open_port("loop://") as port:
         assert not select.select([port], [], [], 0)[0]
+        assert port.read(ready=True) == b""  # where others took what was there
         port.write(ALL)
         assert read_from(port, 256) == ALL
         assert port.read() == b""
@@ -241,11 +243,6 @@ def test_an_rfc2217_peer_that_breaks_the_telnet_layer_is_lost(listener: socket.s
     thread.join()
 
 
-def test_a_loop_never_waits_where_others_took_what_was_there() -> None:
-    with open_port("loop://") as port:
-        assert port.read(ready=True) == b""
-
-
 def test_a_break_does_not_throw_away_pending_bytes(pty: PtyPair) -> None:
     slave = os.open(pty.name, os.O_RDWR | os.O_NOCTTY)
     try:
@@ -297,14 +294,6 @@ def test_closing_twice_is_as_good_as_once_and_a_closed_port_says_so(pty: PtyPair
             use()
     with open_port(pty.name):  # the lock is gone
         pass
-
-
-def test_closing_never_raises_even_when_the_peer_went_first(listener: socket.socket) -> None:
-    port = open_port(url(listener))
-    listener.accept()[0].close()
-    select.select([port], [], [])
-    port.close()
-    port.close()
 
 
 # What cannot be opened
