@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 
 from bilprov.analyzer.decode.batch import Counts, Records
 from bilprov.analyzer.decode.json_lines import encode, json_line
-from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
+from bilprov.analyzer.decode.records import DeviceRecord, Record
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.export.rows import NoPyarrow, write_parquet, write_text
@@ -41,7 +41,6 @@ from tests.analyzer.export.test_export import csv_rows, flat, parquet_rows, writ
 from tests.support import ROOT
 from tests.support.decoding import MS, Event, capture_session, conversation, decoded
 from tests.support.traffic import ACTS, BATCHES, SETTINGS, Acts, played
-from tests.support.wireshark import exported, packets
 
 pytestmark = pytest.mark.usefixtures("columns_at_once")
 
@@ -113,16 +112,6 @@ def require_agreement(path: Path, protocol: Protocol) -> None:
         (f"{row['t']:.6f}", row["direction"]) for row in frames
     ]
     assert all(rest.startswith(row["hex"]) for (*_, rest), row in zip(shown, frames, strict=True))
-
-    packed = [packet for packet in packets(exported(path, protocol)) if packet.data]
-    for side, tap in enumerate((HostRecord, DeviceRecord)):
-        mine = [r for r in records if isinstance(r, tap)]
-        assert sorted(p.wall - capture.start for p in packed if p.interface == side) == sorted(
-            r.end if isinstance(r, HostRecord) else r.t for r in mine
-        )
-        assert b"".join(p.data for p in packed if p.interface == side) == bytes.fromhex(
-            "".join(r.hex for r in mine)
-        )
 
     totals = capture_totals(capture, protocol)
     kinds = Counter(row["kind"] for row in frames)

@@ -10,6 +10,7 @@ import subprocess
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -86,18 +87,6 @@ def behind_ser2net(device: str, folder: Path, accepter: str) -> Iterator[str]:
 
 
 @contextmanager
-def behind_raw_tcp(device: str, folder: Path) -> Iterator[str]:
-    with behind_ser2net(device, folder, RAW) as url:
-        yield url
-
-
-@contextmanager
-def behind_rfc2217(device: str, folder: Path) -> Iterator[str]:
-    with behind_ser2net(device, folder, RFC2217) as url:
-        yield url
-
-
-@contextmanager
 def behind_socat(device: str, folder: Path) -> Iterator[str]:
     """The device behind a second pty, joined to its own by socat."""
     path = folder / "robot"
@@ -107,16 +96,19 @@ def behind_socat(device: str, folder: Path) -> Iterator[str]:
 
 
 Behind = Callable[[str, Path], AbstractContextManager[str]]
-LINES: list[Behind] = [behind_raw_tcp, behind_rfc2217, behind_socat]
-lines = pytest.mark.parametrize("behind", LINES, ids=lambda line: line.__name__)
+LINES: dict[str, Behind] = {
+    "raw TCP": partial(behind_ser2net, accepter=RAW),
+    "RFC 2217": partial(behind_ser2net, accepter=RFC2217),
+    "socat": behind_socat,
+}
 
 
-@lines
-def test_every_byte_passes_both_ways(behind: Behind, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", LINES)
+def test_every_byte_passes_both_ways(name: str, tmp_path: Path) -> None:
     """Between two programs of ours: one on the device's pty, one behind the line."""
     with running("lab", "line", "pty", "pty") as line:
         device, other = (line.stdout.readline().decode().strip() for _ in range(2))
-        with behind(device, tmp_path) as url, open_port(url) as near, open_port(other) as far:
+        with LINES[name](device, tmp_path) as url, open_port(url) as near, open_port(other) as far:
             for here, there in ((near, far), (far, near)):
                 here.write(ALL)
                 heard = b""
