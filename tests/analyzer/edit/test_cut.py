@@ -28,7 +28,6 @@ from bilprov.analyzer.replay.capture_decoding import opened_at
 from bilprov.captures.reader import open_capture, open_quickly
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.spec.protocol import Protocol
-from tests.support import ROOT
 from tests.support.captures import write_capture
 from tests.support.decoding import Event
 from tests.support.traffic import ACTS, SETTINGS, played
@@ -215,23 +214,3 @@ def line_of(record: Record) -> JsonLine | None:
 def number_of(line: JsonLine) -> int | None:
     """The number of the instruction that a frame is, or answers."""
     return line.sequence if line.answers is None else line.answers
-
-
-SAMPLE = ROOT / "captures" / "samples" / "examples.mcap"
-
-
-def test_a_stop_leaves_nothing(tmp_path: Path, protocol: Protocol) -> None:
-    capture = open_capture(SAMPLE)
-    metadata = edited_metadata(capture, protocol, "cut")
-    out = tmp_path / "out.mcap"
-    opened = opened_at(open_quickly(SAMPLE), protocol, 0)
-
-    def stop(size: int) -> None:
-        raise KeyboardInterrupt
-
-    with (
-        pytest.raises(KeyboardInterrupt),
-        new_capture(out, [capture], metadata, protocol, stop, force=False) as copy,
-    ):
-        write_window(opened, Window(0, 1 << 40), copy)
-    assert list(tmp_path.iterdir()) == []

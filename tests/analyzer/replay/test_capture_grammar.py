@@ -147,35 +147,9 @@ def test_a_copy_by_a_grammar_that_is_typed_carries_that(file: Path, horn: Protoc
 # -- what is not in the file, or cannot be used ---------------------------------------------------
 
 
-def test_a_grammar_that_is_not_there_is_asked_for(told: Callable[..., Path]) -> None:
-    path = told(grammar_text=None)
-
-    shown = given(READERS["replay"], path)
-    assert (shown.returncode, shown.stderr.decode()) == (
-        0,
-        "told.mcap was recorded with another grammar (relay-board 2); decoded with grammar.py "
-        "(robot-car 1.1); give its own with --grammar FILE.py\n",
-    )
+def test_python_warns_of_a_grammar_that_is_not_there(told: Callable[..., Path]) -> None:
     with pytest.warns(UserWarning, match="recorded with another grammar"):
-        names(path)
-
-
-@pytest.mark.parametrize("name", COPIES)
-def test_no_copy_is_made_of_what_another_grammar_would_decode(
-    file: Path, relay: Protocol, told: Callable[..., Path], name: str
-) -> None:
-    path = told(grammar_text=None)
-    later = file.with_name("later.mcap")
-    later.unlink()
-    write(later, about(relay, {topics.GRAMMAR_TEXT: None}), later=3)
-
-    refused = given(COPIES[name], path)
-
-    assert refused.returncode == 2
-    assert "another grammar (relay-board 2), which is not in it" in sentence(refused)
-    assert not path.with_name("new.mcap").exists()
-    assert given(COPIES[name], path, "--grammar", "relay.py").returncode == 0
-    assert open_capture(path.with_name("new.mcap")).grammar_text == RELAY
+        names(told(grammar_text=None))
 
 
 def test_one_capture_may_carry_the_grammar_of_another(
