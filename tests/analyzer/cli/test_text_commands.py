@@ -29,11 +29,13 @@ from tests.vectors import FRAMES
 
 
 @pytest.mark.waits
-def test_explain_draws_with_ascii_where_there_is_nothing_else() -> None:
-    shown = process("explain", "81", "09", env={"PYTHONIOENCODING": "ascii"}).stdout.decode()
+def test_a_narrow_locale_gets_plain_lines_and_arrows() -> None:
+    narrow = {"PYTHONIOENCODING": "ascii"}
+    shown = process("explain", "81", "09", env=narrow).stdout.decode()
 
     assert "====" in shown
     assert "\\u" not in shown
+    assert b"> 20 " in process("decode", "20", env=narrow).stdout
 
 
 # ports, completion
@@ -203,12 +205,6 @@ def test_every_frame_of_the_document_is_decoded_as_typed_by_hand() -> None:
     assert [(bytes.fromhex(line["hex"]), line["name"], line["fields"]) for line in lines] == [
         (row.frame, row.name, dict(row.fields)) for row in whole
     ]
-
-
-def test_a_narrow_locale_gets_plain_arrows() -> None:
-    run = process("decode", "20", env={"PYTHONIOENCODING": "ascii"})
-
-    assert b"> 20 " in run.stdout
 
 
 @pytest.mark.waits
