@@ -1,4 +1,7 @@
-"""A single-frame test case as a value, the states in which cases begin and the steps to them."""
+"""A single-frame test case as a value, the states in which cases begin and the steps to them.
+
+Also the cases on the order of the wheels.
+"""
 
 from __future__ import annotations
 

@@ -3,7 +3,7 @@
 smoke: some of everything in a few seconds. standard: every single frame and every pair, in every
 way of delivery. deep: every truncation of every frame, and almost four times as many tours.
 complete: what standard holds, and the words that prove the byte machine (`proof`). Of these cases
-globs of ids select.
+globs of ids select. Also: what cases cover, of how much there is.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 `step_of` states the rule of each class of frames (table 1, table 2, the safety rule) and the other
 readings that the document leaves open; it never calls `spec.codec.judge`. `frames_of` is the one
-list of frames by class.
+list of frames by class, `Inputs` a seeded supply of them.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The device under test, by its name or as an object, and how to reach it.
+"""The device under test, by its name or as an object, and the links to those without a line.
 
 A name is `sim`, `emulator:KIND:FIRMWARE`, or else a port: a path or a pyserial URL.
 """

@@ -1,4 +1,4 @@
-"""Scores the suite: which faulty devices it catches, with how many bytes, and by which cases.
+"""Scores the suite: which faulty devices it catches, by which cases, and what it says of causes.
 
 The suite runs in virtual time, in this process or in several. Every value that is shown comes from
 `Score`.

@@ -197,10 +197,6 @@ class Profile:
     preamble_speed: int | None = None
     choices: Choices = field(default_factory=Choices)
 
-    def tells_time_out(self, timeout: int) -> bool:
-        """Whether answers come so soon that one after the time-out (ns) is told from them."""
-        return 2 * self.all_but_two < timeout
-
     @property
     def all_but_two(self) -> int:
         """Within what time (ns) all answers came but two, which a busy host may have taken late."""

@@ -1,6 +1,6 @@
 """The report of a run as one value, from which every form of it and the exit code come.
 
-Every form has its conclusion, one line.
+Every form has its conclusion, one line. A run of the level `complete` says what it has proven.
 """
 
 from __future__ import annotations

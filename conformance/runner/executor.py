@@ -117,7 +117,12 @@ class Runner:
                 yield from measure_timeout(run)
             if self._discover:
                 yield from discover(run)
-            self._tell_notices()
+            if run.profile.keeps_waiting:
+                run.notices.append(
+                    "the device never gives up a frame that was cut short: the document is silent "
+                    "on a time-out; this kit asks for one because of "
+                    f"{run.protocol.clauses.safety} (a faulty instruction stops the robot at once)"
+                )
             yield from probe_check.settle_failures(run)
             self._fit()
             self._tell_longer()
@@ -195,16 +200,6 @@ class Runner:
             )
         elif told:
             run.note(f"{self._slow_words(pace)}: {about}")
-
-    def _tell_notices(self) -> None:
-        """Note for the report what the user should know of the device before its cases."""
-        run = self.run
-        if run.profile.keeps_waiting:
-            run.notices.append(
-                "the device never gives up a frame that was cut short: the document is silent on a "
-                f"time-out; this kit asks for one because of {run.protocol.clauses.safety} (a "
-                "faulty instruction stops the robot at once)"
-            )
 
     def _tell_longer(self) -> None:
         """Announce anew how long the run takes with what was found out about the device."""

@@ -131,10 +131,6 @@ class RunConfig:
         """Whether looks are available and cheap."""
         return self.observability.available and not self.observability.costly
 
-    def looks_at(self, case: Case) -> bool:
-        """Whether this case is observed: only thorough ones where looks are costly."""
-        return self.observability.available and (case.thorough or not self.observability.costly)
-
     def not_observable(self, expected: str) -> Axis:
         """The axis of something that cannot be observed: inconclusive, never a pass."""
         why = "not seen moving before" if self.observable else self.observability.why

@@ -45,7 +45,8 @@ def run_single_frame(trial: Trial, case: Case) -> Procedure[None]:
     """Execute a case on a homed line: preamble, stimulus, and the checks after it."""
     run = trial.run
     case = case.adapted(adapt_to_device(run.protocol, run.profile.choices, case))
-    looks = run.config.looks_at(case)
+    sees = run.config.observability
+    looks = sees.available and (case.thorough or not sees.costly)
     ready, stray = yield from _precondition(run, case, looks)
     if stray.answers:
         words = answer_words(run.protocol, stray.codes)

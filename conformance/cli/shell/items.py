@@ -231,7 +231,8 @@ def drive(protocol: Protocol, options: SendOptions, settings: LineSettings, time
         Driving(protocol, options, opened, timeout, stopper, eye) as driving,
     ):
         driving.begin()
-        interactive = _on_terminal()
+        dumb = os.environ.get("TERM") == "dumb"
+        interactive = sys.stdin.isatty() and sys.stdout.isatty() and not dumb
         if interactive:
             from bilprov.conformance.cli.shell.prompt import Prompt
 
@@ -267,10 +268,6 @@ def agreed(
         stopper = stack.enter_context(Stopper())
         yield eye, stopper
         note_suspension(stopper)
-
-
-def _on_terminal() -> bool:
-    return sys.stdin.isatty() and sys.stdout.isatty() and os.environ.get("TERM") != "dumb"
 
 
 _PIECE = 1 << 12  # bytes

@@ -2,7 +2,8 @@
 
 An experiment is repeated until two findings agree; from then on the device is held to that
 choice. Where another one comes twice it goes on until noise on the line cannot explain that, or
-can. It is a case (`reading/...`) with the verdict that the readings give to the choice.
+can. It is a case (`reading/...`) with the verdict that the readings give to the choice. Those on
+the state after a frame stand here, those on answers in `answers`.
 """
 
 from __future__ import annotations
