@@ -5,11 +5,12 @@ from __future__ import annotations
 import pytest
 
 from bilprov.analyzer.decode.decoded_share import Checked, fitting_check, near_miss
-from bilprov.analyzer.decode.pairing import MOST
+from bilprov.analyzer.decode.pairing import MOST, Waiting, waiting_frames
 from bilprov.analyzer.decode.records import Severity
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.captures.schemas import Chunk, Line
+from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol, load
 from tests.support import ROOT
 from tests.support.decoding import MS, decoded, devices, hosts, kinds
@@ -95,6 +96,25 @@ def test_after_bytes_were_lost_an_answer_is_that_of_no_frame_before(protocol: Pr
 def host(data: bytes) -> Chunk:
     """Bytes of the host at time 0."""
     return Chunk(0, "host", data)
+
+
+# -- what waits, as a checkpoint has it ------------------------------------------------------------
+
+
+def waiting(protocol: Protocol, number: int, end: int, frame: bytes) -> Waiting:
+    return Waiting(number, end, end + 1000 * MS, judge(protocol, frame))
+
+
+def test_what_waits_is_put_together_by_its_times_as_far_as_a_frame_cut_short(
+    protocol: Protocol,
+) -> None:
+    frames = [b"\x20", b"\x11\x05", b"\x11", b"\x20", b"\x20"]
+    queue = [waiting(protocol, n, MS * (n > 3), frame) for n, frame in enumerate(frames)]
+
+    groups = waiting_frames(queue)
+
+    assert [group.frames for group in groups] == [b"\x20\x11\x05\x11", b"\x20", b"\x20"]
+    assert [group.end for group in groups] == [0, 0, MS]
 
 
 # -- near misses -----------------------------------------------------------------------------------
