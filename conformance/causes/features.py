@@ -35,9 +35,9 @@ class Feature:
 
     `of` gives its value: a word, a number, or None where the exchange has none. `cost` ranks
     features that explain equally well: the lower is named. `bits` is how many bits of a number may
-    matter each for itself, `counts` whether every n-th may matter. Of one that `grows` what is wrong
-    at a number is wrong at all above. `words` has `{}` where the value stands; a `subject` names the
-    frame itself.
+    matter each for itself, `counts` whether every n-th may matter. Of one that `grows`, what is
+    wrong at a number is wrong at all above. `words` has `{}` where the value stands; a `subject`
+    names the frame itself.
     """
 
     name: str
