@@ -17,7 +17,7 @@ from bilprov.spec.fields import Outcome
 from bilprov.spec.framing import frame_size
 from bilprov.spec.layout import Layout
 from bilprov.spec.protocol import InstructionSpec, Protocol
-from bilprov.spec.replies import covered
+from bilprov.spec.replies import asked_values, covered, read_reply, reply_size, usual_way
 
 _SHOWN = 24  # bytes of what does not decode
 _LOOKED_AT = 512  # bytes from there on that tell what it nearly is
@@ -130,13 +130,23 @@ def _near(protocol: Protocol, record: HostRecord | DeviceRecord, data: bytes) ->
         # What has a right check, and an unused ID, ended where the check did: by silence.
         known = protocol.layout.check and judged and judged.outcome is Outcome.UNKNOWN_ID
         return near_miss(protocol, record.data if known else data)
-    asked = record.answered.instruction if record.answered else None
+    asked = record.answered
+    name = asked.instruction.name if asked and asked.instruction else ""
     reason = record.reply.reason if record.reply else record.reason
     if _has_wrong_check(protocol, record):
-        return NearMiss(asked.name if asked else "", "checksum", reason)
-    if asked is None and protocol.reply.begins(record.data):
-        return NearMiss("", "request", "they answer no request that waits")
-    return NearMiss(asked.name if asked else "", "length", reason)
+        return NearMiss(name, "checksum", reason)
+    if asked is None or asked.instruction is None:
+        unasked = protocol.reply.begins(record.data)
+        what = "they answer no request that waits"
+        return NearMiss("", "request", what) if unasked else NearMiss("", "length", reason)
+    layout, values = usual_way(protocol, asked.instruction).layout, asked_values(protocol, asked)
+    unrepeated = layout.unrepeated(record.data, values)
+    obstacle = unrepeated[0].role if unrepeated else "length"
+    due = reply_size(protocol, record.data, asked)
+    reason = read_reply(protocol, record.data, asked).reason
+    if obstacle == "length" and due and due > len(record.data):
+        reason = f"{len(record.data)} of {quantity(due, 'byte')} came"
+    return NearMiss(name, obstacle if layout.begins(record.data) else "sync", reason)
 
 
 _LONGEST = 512  # bytes within which another end of a frame is looked for
@@ -166,7 +176,8 @@ _USUAL: tuple[CheckFunction, ...] = (
 class NearMiss(NamedTuple):
     """The instruction that some bytes nearly are ("" if none is near), and what is wrong.
 
-    The `obstacle` is one of _OBSTACLES, or `request` for an answer that nothing asked for.
+    The `obstacle` is one of _OBSTACLES, `request` for an answer that nothing asked for, or the part
+    of an answer that does not repeat that of its request.
     """
 
     name: str

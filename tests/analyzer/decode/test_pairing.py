@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from bilprov.analyzer.decode.decoded_share import Checked, fitting_check, near_miss
+from bilprov.analyzer.decode.decoded_share import Checked, decoded_share, fitting_check, near_miss
 from bilprov.analyzer.decode.pairing import MOST, Waiting, waiting_frames
 from bilprov.analyzer.decode.records import Severity
 from bilprov.analyzer.decode.session import Session
@@ -186,6 +186,32 @@ def test_an_address_that_is_declared_too_wide_is_named(
     assert found.obstacle == "length"
     assert found.reason.startswith(f"its check is right after {size} bytes, as if a part of FRAME")
     assert found.reason.endswith("such as address")
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "obstacle", "reason"),
+    [
+        ('b"\\x33', 'b"\\x34', "sync", "33 3c 00 00 00 stands where 34 3c 00 00 00 must be"),
+        ('Same("address", Byte)', 'Same("address", Byte, plus=1)', "address", "is 2, right is 3"),
+        ('"data" / Data()', '"x" / Byte, "data" / Data()', "length", "8 of 9 bytes came"),
+    ],
+)
+def test_what_keeps_bytes_from_being_an_answer_is_named(
+    right: str, wrong: str, obstacle: str, reason: str
+) -> None:
+    request, reply = FRAMED["relay_board"].split("REPLY = ")
+    protocol = load(f"{request}REPLY = {reply.replace(right, wrong, 1)}")
+    asked = Chunk(0, "host", bytes.fromhex("5556000000 02 00 AD"))
+    told = Chunk(MS, "device", bytes.fromhex("333C000000 02 02 73"))
+    session = Session(protocol)
+    records = [*session.feed(asked), *session.feed(told), *session.finish()]
+
+    first = decoded_share(protocol, records).first
+
+    assert first is not None
+    assert first.near is not None
+    assert (first.near.name, first.near.obstacle) == ("Read", obstacle)
+    assert reason in first.near.reason
 
 
 def test_a_valid_frame_is_no_near_miss() -> None:
