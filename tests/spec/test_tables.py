@@ -13,12 +13,13 @@ from hypothesis import strategies as st
 from bilprov.spec.arrays.layouts import OUTCOMES
 from bilprov.spec.arrays.states import Known
 from bilprov.spec.arrays.tables import RequestTables, request_tables
-from bilprov.spec.codec import Steps, judge, nearest, raw_frame
+from bilprov.spec.codec import Steps, build, judge, nearest, raw_frame
 from bilprov.spec.framing import Framer
 from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol, load
-from bilprov.spec.state import State, after
+from bilprov.spec.state import OTHERS, State, after
 from tests.support.car import VARIABLES, car_state
+from tests.support.framed_traffic import FRAMED
 from tests.support.grammars import undeclared
 
 MOTIONS = tuple(Motion)
@@ -139,6 +140,21 @@ def test_a_state_that_only_power_on_sets_fits(grammar_text: str, led: int) -> No
     state = tables.states.column("led", stop, requests, Known(other.power_on, None))
 
     assert state.tolist() == [led, led]
+
+
+def test_the_last_state_of_a_device_is_that_after_the_last_request_to_it() -> None:
+    claw = load(FRAMED["roboclaw"])
+    sent = [("ForwardM1", 0x80, 5), ("ForwardM1", 0x81, 7), ("ForwardM1", 0x80, 9)]
+    frames = [build(claw, name, {"address": to, "speed": speed}) for name, to, speed in sent]
+    data, tables = np.frombuffer(b"".join(frames), np.uint8), request_tables(claw)
+    known = Known(claw.power_on, {OTHERS: claw.power_on, 0x82: claw.state(m1=3)})
+
+    found = tables.states.last(data, tables.cut(data, 0).whole, known)
+
+    assert found.state.m1 == 9
+    assert found.by_address is not None
+    speeds = {to: state.m1 for to, state in found.by_address.items()}
+    assert speeds == {OTHERS: 0, 0x80: 9, 0x81: 7, 0x82: 3}
 
 
 BEFORE = car_state(speed=11, steering=-7, led=3)

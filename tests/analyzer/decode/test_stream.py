@@ -170,7 +170,7 @@ LATE, LONGEST, SHORT, CUT = 100 * MS, 1000 * MS, 20 * MS, 50 * MS
 ENDS = [end + more for end in (LATE, LONGEST, SHORT, CUT) for more in (-1, 0, 1)]
 
 
-@pytest.mark.sample(1)
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("pause", ENDS)
 @pytest.mark.parametrize("skew", [0, 20 * MS])
 @pytest.mark.parametrize("batches", [[1000], [1], [21, 2]], ids=str)
