@@ -50,8 +50,7 @@ def decoded_columns(protocol: Protocol) -> Callable[[bytes], list[Columns]]:
                 for name in CAR_STATE.variables
             }
             columns.append((found.whole.verdict, states))
-            ends = {name: int(column[-1]) for name, column in states.items()}
-            state = state.of({name: state.value(name, end) for name, end in ends.items()})
+            state = tables.states.last(part, found.whole, known).state
             at += found.end or len(data)
         return columns
 
