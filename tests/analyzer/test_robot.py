@@ -11,7 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from typing import Any
 
@@ -497,13 +497,25 @@ time.sleep(60)
 """
 
 
+def interrupted(process: subprocess.Popen[bytes]) -> bytes:
+    """What a program writes to standard error before Ctrl-C has ended it.
+
+    Python handles a signal only after a sleep that its main thread was just about to begin: what
+    nobody notices at a keyboard happens on a busy machine, so the key is pressed again.
+    """
+    for _ in range(4):
+        process.send_signal(signal.SIGINT)
+        with suppress(subprocess.TimeoutExpired):
+            return process.communicate(timeout=PATIENCE / 4)[1]
+    raise AssertionError("Ctrl-C does not end the program")
+
+
 @pytest.mark.parametrize(("text", "threads"), [(THREADED, 1), (SHARED, 3)])
 def test_ctrl_c_ends_each_thread_that_drives_too(
     protocol: Protocol, text: str, threads: int
 ) -> None:
     with driving(protocol, text) as (device, process, _):
-        process.send_signal(signal.SIGINT)
-        _, told = process.communicate(timeout=PATIENCE)
+        told = interrupted(process)
 
     assert not device.state.moving
     assert told.count(b"RobotError: SIGINT came, and the robot was stopped before that") == threads
