@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from bilprov.analyzer.filters.filter import Filter
 
 _LEVEL = 1  # of zstd
+_KINDS = [np.iinfo(kind) for kind in ("u1", "i1", "u2", "i2", "u4", "i4", "i8")]
 _UNPACKED = 4  # batches that stay unpacked
 _SHARED = (ColumnDecoder, InstructionSpec, ResponseSpec)
 _KEPT: dict[int, object] = {}  # what packed batches share, of which there are a few for a grammar
@@ -55,11 +56,14 @@ def packed(batch: Batch) -> bytes:
     return zstandard.ZstdCompressor(_LEVEL).compress(file.getbuffer())
 
 
-@lru_cache(_UNPACKED)
 def _unpacked(data: bytes) -> Batch:
     """The batch of packed bytes."""
     batch: Batch = pickle.loads(zstandard.ZstdDecompressor().decompress(data))
     return batch
+
+
+_looked_at = lru_cache(_UNPACKED)(_unpacked)
+"""The same, of batches that are on the screen: the last ones stay unpacked."""
 
 
 def _share(value: object) -> tuple[Any, ...]:
@@ -73,16 +77,24 @@ def _kept(number: int) -> object:
 
 
 def _as_steps(array: NDArray[Any]) -> Any:
-    """How an array is packed: 64-bit integers as steps, their high bytes, mostly 0, together."""
+    """How an array is packed: 64-bit integers as steps, or as they are, in as few bytes as fit."""
     if array.dtype != np.int64 or array.ndim != 1:
         return array.__reduce_ex__(pickle.HIGHEST_PROTOCOL)
-    steps = np.diff(array, prepend=0).view(np.uint8).reshape(-1, 8)
-    return _summed, (steps.T.tobytes(),)
+    values, steps = _small(array), _small(np.diff(array))
+    if values.itemsize <= steps.itemsize:
+        return np.array, (values, np.int64)
+    return _summed, (int(array[0]), steps)
 
 
-def _summed(steps: bytes) -> NDArray[np.int64]:
+def _small(numbers: NDArray[np.int64]) -> NDArray[np.integer]:
+    """The numbers in the smallest type that holds all of them."""
+    low, high = numbers.min(initial=0), numbers.max(initial=0)
+    return numbers.astype(next(one.dtype for one in _KINDS if one.min <= low <= high <= one.max))
+
+
+def _summed(first: int, steps: NDArray[np.integer]) -> NDArray[np.int64]:
     """The integers with these steps between them."""
-    return np.frombuffer(steps, np.uint8).reshape(8, -1).T.copy().view(np.int64).ravel().cumsum()
+    return np.concatenate([[first], steps], dtype=np.int64).cumsum()
 
 
 PAGE = 1 << 16  # members that are compared at once
@@ -220,7 +232,7 @@ class Recording:
                 if block.packed is None:
                     found += [self._listed[place] for place in places]
                     continue
-                batch = _unpacked(block.packed)
+                batch = _looked_at(block.packed)
                 chosen = np.zeros(len(batch), np.bool_)
                 chosen[places] = True
                 found += batch.records(batch.selection(chosen))
