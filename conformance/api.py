@@ -5,7 +5,6 @@ from __future__ import annotations
 import typing
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import replace
-from typing import Any
 
 from bilprov.analyzer.client.operations import Procedure, finished, interruption, steps
 from bilprov.analyzer.grammar_file import load_protocol
@@ -138,10 +137,18 @@ class Afterwards(typing.Protocol):
 
 
 def run_suite(
-    target: Target, options: Options, listeners: Sequence[RunListener] = (), **how: Any
+    target: Target,
+    options: Options,
+    listeners: Sequence[RunListener] = (),
+    *,
+    skip: SkipPolicy | None = None,
+    logged: bool = True,
+    explainer: Callable[[Run, Trace, int], Afterwards] | None = Explainer,
 ) -> Report:
-    """Run the cases on a target, live or recorded, to the end; `how` is that of `suite_steps`."""
-    return finished(suite_steps(target, options, listeners, **how))
+    """Run the cases on a target, live or recorded, to the end, as `suite_steps` does."""
+    return finished(
+        suite_steps(target, options, listeners, skip=skip, logged=logged, explainer=explainer)
+    )
 
 
 def suite_steps(
