@@ -10,7 +10,7 @@ import msgspec
 
 from bilprov.analyzer.cli import options as shared
 from bilprov.analyzer.cli.command import argument, command, flag, group, option
-from bilprov.analyzer.cli.command_files import protocol_of, split
+from bilprov.analyzer.cli.command_files import keep_memory, protocol_of, split
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.decode.records import FaultRecord, HostRecord, Record
 from bilprov.analyzer.decode.session import BOTH
@@ -184,6 +184,7 @@ class _Replay:
         from bilprov.analyzer.screen.feeds import Told, capture_feed
         from bilprov.analyzer.screen.terminal import shown
 
+        keep_memory()
         capture, options = self.capture, self.options
         feed = capture_feed(self.opened, self.protocol, self.test, options.shown.count, self.window)
         name, line = capture.path.name, decoding.capture_line(capture, self.protocol)

@@ -278,9 +278,10 @@ class Batch(ABC):
 
     def in_order(self, chosen: Selection) -> Mask:
         """Which of all rows in order are chosen."""
-        rows = np.empty(len(self), np.bool_)
-        for places, mask in zip(self.places, chosen, strict=True):
-            rows[places] = mask
+        rows = np.zeros(len(self), np.bool_)
+        if any(mask.any() for mask in chosen):  # the order of all rows takes a while
+            for places, mask in zip(self.places, chosen, strict=True):
+                rows[places] = mask
         return rows
 
     def inside(self, first: int | None, after: int | None) -> Selection:

@@ -81,9 +81,17 @@ def _as_steps(array: NDArray[Any]) -> Any:
     if array.dtype != np.int64 or array.ndim != 1:
         return array.__reduce_ex__(pickle.HIGHEST_PROTOCOL)
     values, steps = _small(array), _small(np.diff(array))
+    if len(steps) and (steps == steps[0]).all():
+        step = int(steps[0])
+        return _evenly, (int(array[0]), step, len(array))
     if values.itemsize <= steps.itemsize:
         return np.array, (values, np.int64)
     return _summed, (int(array[0]), steps)
+
+
+def _evenly(first: int, step: int, count: int) -> NDArray[np.int64]:
+    """That many integers with the same step between them."""
+    return first + step * np.arange(count)
 
 
 def _small(numbers: NDArray[np.int64]) -> NDArray[np.integer]:
