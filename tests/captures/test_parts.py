@@ -177,7 +177,7 @@ def test_evidence_is_one_file(tmp_path: Path) -> None:
 def until_there(capture: BackgroundWriter, number: int) -> None:
     """Wait until the part is written; files are made by the thread behind."""
     part = part_path(capture.path.with_name("a"), number)
-    until(lambda: bool(capture.failure) or capture.path == part)
+    until(lambda: bool(capture.failure) or capture.paths[-1] == part)
 
 
 def rotating(folder: Path) -> BackgroundWriter:
