@@ -1,6 +1,6 @@
 """RoboClaw motor controllers, packet serial: a part of the commands of their user manual."""
 
-from construct import Byte, Checksum, Int16ub, RawCopy, Struct, Switch, this
+from construct import Byte, Checksum, Int16ub, Pass, RawCopy, Struct, Switch, this
 
 from bilprov.spec.fields import (
     Address,
@@ -60,6 +60,7 @@ INSTRUCTIONS = {
 }
 
 CRC = Crc(16, 0x1021)
+READS = {24: Pass, 49: Pass}  # which are sent without a check
 FRAME = Struct(
     "covered"
     / RawCopy(
@@ -69,7 +70,7 @@ FRAME = Struct(
             "data" / Switch(this.id, INSTRUCTIONS),
         )
     ),
-    "crc" / Checksum(Int16ub, CRC, this.covered.data),
+    "crc" / Switch(this.covered.value.id, READS, default=Checksum(Int16ub, CRC, this.covered.data)),
 )
 
 # What reads is answered by data, whose check counts the request too; all else by one byte, FF. What

@@ -144,6 +144,7 @@ def judge(protocol: Protocol, frame: bytes) -> Judgement:
     begun = len(frame) >= layout.head
     identity, address, size = _head(protocol, frame) if begun else (None, None, 0)
     spec = protocol.by_id.get(identity) if identity is not None else None
+    layout = layout.of(identity)
     if protocol.plain and len(frame) > size:
         raise ValueError(
             f"frame {spaced(frame)} has {data_bytes(len(frame) - 1)}, its header says {size - 1}"
@@ -244,7 +245,7 @@ def _cut_short(
     protocol: Protocol, frame: bytes, spec: InstructionSpec | None, data: bytes, length: int
 ) -> tuple[Outcome, str]:
     """The fault of a frame that is not complete, and why it is one."""
-    layout, name = protocol.layout, f"{spec.name}: " if spec else ""
+    layout, name = protocol.layout.of_frame(frame), f"{spec.name}: " if spec else ""
     begun = len(frame) >= layout.head
     if spec is None and begun and not layout.check:
         return Outcome.UNKNOWN_ID, _unused(protocol, frame)
@@ -264,7 +265,7 @@ def _fault(
     protocol: Protocol, frame: bytes, spec: InstructionSpec | None, data: bytes, length: int
 ) -> tuple[Outcome, str]:
     """The outcome of a whole frame, and why."""
-    layout = protocol.layout
+    layout = protocol.layout.of_frame(frame)
     wrong = layout.wrong_constant(frame)
     if wrong:
         return Outcome.BAD_SYNC, wrong

@@ -187,7 +187,7 @@ def _frame(
     meant = None
     if protocol.plain and not judgement.valid:
         meant = judge(protocol, nearest(protocol, judgement.frame, following))
-    due = judgement.head + judgement.length + protocol.layout.tail
+    due = judgement.head + judgement.length + protocol.layout.of(judgement.id).tail
     return FrameExplanation(
         offset=offset,
         judgement=judgement,
@@ -264,7 +264,8 @@ def _differences(judgement: Judgement, meant: Judgement, following: bytes) -> It
 
 def _groups(protocol: Protocol, judgement: Judgement) -> Iterator[BitGroup]:
     """Groups that hold every bit of a frame once, in order."""
-    meaning = partial(_part_meaning, protocol, protocol.layout, judgement, None)
+    layout = protocol.layout.of(judgement.id)
+    meaning = partial(_part_meaning, protocol, layout, judgement, None)
     data = judgement.instruction if judgement.outcome in (Outcome.VALID, Outcome.BAD_DATA) else None
     open_data = "taken because the header announces it, means nothing"
     if judgement.outcome in FRAMING_FAULTS:
@@ -273,7 +274,7 @@ def _groups(protocol: Protocol, judgement: Judgement) -> Iterator[BitGroup]:
         open_data = "not complete" if judgement.truncated else "means nothing"
     elif judgement.truncated:
         open_data = "means nothing while other data are missing"
-    yield from _laid_out(protocol.layout, judgement, data, meaning, open_data)
+    yield from _laid_out(layout, judgement, data, meaning, open_data)
 
 
 def _reply_groups(

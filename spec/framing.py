@@ -39,7 +39,7 @@ class Framer:
 
     def __init__(self, protocol: Protocol, timeout: int | None) -> None:
         self._protocol = protocol
-        self._check = protocol.layout.check
+        self._layout = protocol.layout
         self._lengths = protocol.lengths  # by header byte, where that tells how long a frame is
         self._timeout = timeout
         self._held = bytearray()
@@ -125,7 +125,9 @@ class Framer:
             size = self._size(held, at)
             if size is None or size > len(held) - at:
                 break
-            damaged = size > 0 and self._check and not self._check.holds(held[at : at + size])
+            frame = held[at : at + max(size, 0)]
+            check = self._layout.of_frame(frame).check
+            damaged = frame and check and not check.holds(frame)
             if size < 0 or (damaged and self._right_frame(held, at + 1, at + size) is not None):
                 self._skip(at, 1)
                 at += 1
@@ -133,7 +135,7 @@ class Framer:
             if self._garbage:
                 records += self._flush(known)
             times, end = self._times, at + size
-            records.append(Framed("instruction", times[at], times[end - 1], known, held[at:end]))
+            records.append(Framed("instruction", times[at], times[end - 1], known, frame))
             at = end
         self._forget(at)
         return records
@@ -166,21 +168,22 @@ class Framer:
 
     def _is_unknown(self) -> bool:
         """Whether what is held has an ID whose length nothing tells."""
-        layout = self._protocol.layout
+        layout = self._layout
         if layout.part("length") or len(self._held) < layout.head + layout.tail:
             return False
         return layout.value("id", bytes(self._held)) not in self._protocol.by_id
 
     def _right_frame(self, held: bytes, first: int, after: int) -> int | None:
         """The first place in `first`..`after` at which a frame begins whose check is right."""
-        if self._check is None:
+        if self._layout.check is None:
             return None
         for at in range(first, after):
             size = self._size(held, at)
             if size is None or not 0 < size <= len(held) - at:
                 continue
             frame = held[at : at + size]
-            if self._check.holds(frame) and not self._protocol.layout.wrong_constant(frame):
+            check = self._layout.of_frame(frame).check
+            if check and check.holds(frame) and not self._layout.wrong_constant(frame):
                 return at
         return None
 

@@ -176,7 +176,8 @@ class Layout(msgspec.Struct, frozen=True, dict=True):
     """The parts of a frame in order: `head` bytes, the data, `tail` bytes.
 
     `has_data` is false for an answer without a place for data. `covered` names the parts that a
-    check of the answer may count too: `asked.covered.data`.
+    check of the answer may count too: `asked.covered.data`. Frames with the IDs of `unchecked` have
+    no check, which is all that stands behind the data of the others.
     """
 
     parts: tuple[Part, ...]
@@ -185,6 +186,28 @@ class Layout(msgspec.Struct, frozen=True, dict=True):
     check: Check | None
     has_data: bool
     covered: tuple[str, ...] = ()
+    unchecked: frozenset[int] = frozenset()
+
+    def of(self, identity: int | None) -> Layout:
+        """The layout of the frames with an ID."""
+        return self._without_check if identity in self.unchecked else self
+
+    def of_frame(self, begun: bytes) -> Layout:
+        """The layout of the frame that begins so."""
+        known = self.unchecked and len(begun) >= self.head
+        return self.of(self.value("id", begun)) if known else self
+
+    @cached_property
+    def _without_check(self) -> Layout:
+        parts = tuple(part for part in self.parts if part.role != "check")
+        return replace(self, parts=parts, tail=0, check=None, unchecked=frozenset())
+
+    def covered_in(self, frame: bytes) -> bytes:
+        """What the check of a whole frame covers, or would; all of it where no frame has one."""
+        if self.check is None:
+            return frame
+        checked = self.of_frame(frame).check
+        return checked.covered(frame) if checked else frame[self.check.first :]
 
     def part(self, role: Role) -> Part | None:
         """The part of that role; None if there is none."""
@@ -279,14 +302,14 @@ class Layout(msgspec.Struct, frozen=True, dict=True):
             return -1
         if len(held) < self.head:
             return None
-        announced = self.value("length", held)
+        around, announced = self.head + self.of_frame(held).tail, self.value("length", held)
         if announced is not None:
-            return self.head + announced + self.tail if 0 <= announced <= _MOST_DATA else -1
+            return around + announced if 0 <= announced <= _MOST_DATA else -1
         if not self.has_data or data is None:
-            return self.head + self.tail
+            return around
         count = data.measure(held[self.head :], asked)
         if count is None or count <= _MOST_DATA:
-            return None if count is None else self.head + count + self.tail
+            return None if count is None else around + count
         return -1
 
     def build(self, values: Mapping[str, int], data: bytes, covered: bytes = b"") -> bytes:
@@ -295,10 +318,11 @@ class Layout(msgspec.Struct, frozen=True, dict=True):
         A part that is not given is 0; `covered` is what the request's check covers. Raises
         OverflowError for a value that does not fit.
         """
-        size = self.head + len(data) + self.tail
+        layout = self.of(values.get("id"))
+        size = self.head + len(data) + layout.tail
         frame = bytearray(size)
         frame[self.head : self.head + len(data)] = data
-        for part in self.parts:
+        for part in layout.parts:
             at = part.offset if part.offset >= 0 else size + part.offset
             value = {"length": len(data), "constant": part.low}.get(part.role)
             if value is None:
@@ -306,9 +330,9 @@ class Layout(msgspec.Struct, frozen=True, dict=True):
             raw = part.constant or part.written(value, bytes(frame[at : at + part.size]))
             if part.role != "check":
                 frame[at : at + part.size] = raw
-        if self.check:
-            at = size + self.check.part.offset
-            frame[at : at + self.check.part.size] = self.check.right(bytes(frame), covered)
+        if check := layout.check:
+            at = size + check.part.offset
+            frame[at : at + check.part.size] = check.right(bytes(frame), covered)
         return bytes(frame)
 
 
@@ -345,21 +369,53 @@ def read_layout(what: str, declared: Construct, asked: tuple[str, ...] = ()) -> 
     if place < len(roles):
         data = members[place][1]
         _require_paths(what, data, [p for p in parts if p.offset >= 0])
-    check, covered = None, tuple(spans)
+    head = before[place]
+    check, covered, unchecked = None, tuple(spans), frozenset[int]()
     if "check" in roles:
         at = roles.index("check")
-        name, both = _covered_name(what, members[at][1], spans, asked)
+        (part,) = (one for one in parts if one.role == "check")
+        declared_check = members[at][1]
+        if isinstance(declared_check, construct.Switch):
+            if what != "FRAME" or part.size != total - head:
+                raise WrongValue(
+                    f"{what}.{part.name} is a Switch, allowed is one for the check of FRAME where "
+                    "nothing else stands behind the data"
+                )
+            unchecked = _unchecked(what, declared_check)
+            declared_check = unwrapped(declared_check.default)
+        name, both = _covered_name(what, declared_check, spans, asked)
         first, last = spans[name]
         if at < last or (data is not None and not first <= place < last):
             raise WrongValue(
                 f"the check of {what} must stand behind the data, and cover them and what is "
                 "before them"
             )
-        function, covered = members[at][1].hashfunc, (name,)
-        (part,) = (one for one in parts if one.role == "check")
+        function, covered = declared_check.hashfunc, (name,)
         check = Check(part, function, before[first], total - before[last], both)
-    head = before[place]
-    return Layout(parts, head, total - head, check, data is not None, covered), data
+    found = Layout(parts, head, total - head, check, data is not None, covered, unchecked)
+    return found, data
+
+
+def _checksum(declared: Construct) -> Construct:
+    """What a part is declared as; of a check that some frames lack, what the others have."""
+    body = unwrapped(declared)
+    if isinstance(body, construct.Switch):
+        default = unwrapped(body.default)
+        return default if isinstance(default, construct.Checksum) else body
+    return body
+
+
+def _unchecked(what: str, declared: construct.Switch) -> frozenset[int]:
+    """The IDs of the frames without a check."""
+    _require_path(what, "Switch", declared.keyfunc, "id")
+    for identity, case in declared.cases.items():
+        require(f"an ID of {what} without a check", identity, int)
+        if case is not construct.Pass:
+            raise WrongValue(
+                f"the check of {what} for ID {identity} is a {type(case).__name__}, allowed is "
+                "Pass: no check"
+            )
+    return frozenset(declared.cases)
 
 
 def _members(
@@ -372,12 +428,13 @@ def _members(
     for member in declared.subcons:
         body, found = unwrapped(member), list[tuple[Part | None, Construct]]()
         inner = unwrapped(body.subcon) if isinstance(body, construct.RawCopy) else body
+        is_check = isinstance(_checksum(inner), construct.Checksum)
         if isinstance(inner, construct.Struct):
             found += _members(what, inner, spans, at)
         elif type(inner) is _BITS:
             found += _bits(what, unwrapped(inner.subcon).subcons)
-        elif member.name == "data" or isinstance(
-            inner, Data | construct.Switch | construct.FixedSized
+        elif member.name == "data" or (
+            isinstance(inner, Data | construct.Switch | construct.FixedSized) and not is_check
         ):
             found.append((None, inner))
         else:
@@ -403,17 +460,22 @@ def _require_paths(what: str, declared: Construct, before: Sequence[Part]) -> No
     if isinstance(declared, construct.Switch) and "id" in roles:
         paths.append(("Switch", declared.keyfunc, "id"))
     for word, expression, name in paths:
-        path = re.sub(r"\['(\w+)'\]", r".\1", repr(expression))
-        if not re.fullmatch(rf"this\.(\w+\.)*{name}", path):
-            raise WrongValue(
-                f"{what} has {word}({path}, ...), allowed is the path to its part {name}: "
-                f"{word}(this.{name}, ...)"
-            )
+        _require_path(what, word, expression, name)
+
+
+def _require_path(what: str, word: str, expression: object, name: str) -> None:
+    """Raise WrongValue unless an expression is a path to the part of that name."""
+    path = re.sub(r"\['(\w+)'\]", r".\1", repr(expression))
+    if not re.fullmatch(rf"this\.(\w+\.)*{name}", path):
+        raise WrongValue(
+            f"{what} has {word}({path}, ...), allowed is the path to its part {name}: "
+            f"{word}(this.{name}, ...)"
+        )
 
 
 def _part(what: str, member: Construct, bits: Mapping[str, Any] | None = None) -> Part:
     """Read a part, its offset still 0; `bits` is where it is in a byte of bits."""
-    body, name = unwrapped(member), f"{what}.{member.name}"
+    body, name = _checksum(member), f"{what}.{member.name}"
     require(f"the prose of {name}", prose_of(member), str)
     if member.name is not None:
         require_word(f"the name of a part of {what}", member.name)
@@ -493,7 +555,7 @@ def _covered_name(
 
 def _type_of(declared: Construct) -> Construct:
     """The number within what a part is declared as."""
-    body = unwrapped(declared)
+    body = _checksum(declared)
     if isinstance(body, construct.Checksum):
         return unwrapped(body.checksumfield)
     marks = Address | Answers | construct.Const | Length | Same

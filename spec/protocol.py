@@ -637,6 +637,11 @@ def _read(declared: _Grammar, source: str, origin: str) -> Protocol:
     reply, acknowledgement, errors = _replies(declared, layout.covered)
     specs = [_instruction(declared, one, layout, reply) for one in sorted(declared.INSTRUCTIONS)]
     _require_each_name_once("two instructions are named", (spec.name for spec in specs))
+    if unknown := layout.unchecked - {spec.id for spec in specs}:
+        raise GrammarError(
+            f"FRAME has no check for the ID {min(unknown)}, which no instruction has; allowed are "
+            f"{', '.join(str(spec.id) for spec in specs)}"
+        )
     asked = {*layout.told, *(name for spec in specs for name in spec.numbers)}
     _require_repeated("FRAME", layout, set())
     for what, one in (("REPLY", reply), ("ACK", acknowledgement), *(("ERROR", e) for e in errors)):

@@ -242,11 +242,8 @@ def agrees(protocol: Protocol, asked: Judgement, reply: Reply) -> bool:
 
 
 def covered(protocol: Protocol, asked: Judgement | None) -> bytes:
-    """The bytes of a request that its check covers; all of it where it has none."""
-    check = protocol.layout.check
-    if asked is None:
-        return b""
-    return check.covered(asked.frame) if check else asked.frame
+    """What the check of a request covers (none: no bytes); see `Layout.covered_in`."""
+    return protocol.layout.covered_in(asked.frame) if asked else b""
 
 
 def usual_way(protocol: Protocol, spec: InstructionSpec | None) -> Way:

@@ -19,6 +19,7 @@ WORDS = {
     "construct": {
         *("BitStruct", "BitsInteger", "Nibble", "Struct", "Switch", "this"),
         *("Array", "Bytes", "Checksum", "Const", "Enum", "FixedSized", "FlagsEnum"),
+        "Pass",
         *("GreedyBytes", "GreedyRange", "Prefixed", "PrefixedArray", "RawCopy"),
         *("Byte", "Int8ub", "Int8sb", "Int8ul", "Int8sl", "BytesInteger"),
         *(f"Int{bits}{kind}" for bits in (16, 24, 32, 64) for kind in ("ub", "ul", "sb", "sl")),

@@ -187,7 +187,7 @@ class NearMiss(NamedTuple):
 
 def near_miss(protocol: Protocol, data: bytes) -> NearMiss | None:
     """What bytes of the host nearly are that begin where a frame was expected; None if nothing."""
-    layout = protocol.layout
+    layout = protocol.layout.of_frame(data)
     if layout.sync and not layout.begins(data[: layout.head]):
         return _other_sync(protocol, data)
     size = frame_size(protocol, data)
@@ -238,7 +238,8 @@ def _other_sync(protocol: Protocol, data: bytes) -> NearMiss | None:
         if size is None or not 0 < size <= len(patched):
             continue
         judged = judge(protocol, patched[:size])
-        as_sent = layout.check is not None and layout.check.holds(data[: size - missing])
+        check = layout.of_frame(patched).check
+        as_sent = check is not None and check.holds(data[: size - missing])
         if judged.valid or (judged.outcome is Outcome.BAD_CHECKSUM and as_sent):
             came = spaced(data[: len(sync) - missing]) or "no such bytes"
             why = f"it begins with {came}, right is {spaced(sync)}"

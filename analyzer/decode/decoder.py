@@ -411,7 +411,7 @@ class Decoder:
         known = judgement.instruction is not None or kind != "instruction"
         if not known and frame_size(self._protocol, frame) != len(frame):
             return anomalies.SILENT_END
-        if self._in_doubt and (layout.check or layout.sync):
+        if self._in_doubt and (layout.of(judgement.id).check or layout.sync):
             self._in_doubt = judgement.truncated or judgement.outcome in FRAMING_FAULTS
         return anomalies.UNCLEAR if self._in_doubt else ""
 

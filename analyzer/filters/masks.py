@@ -79,7 +79,7 @@ def _columns(*makers: Makers) -> Columns:
 
 def _host_columns(protocol: Protocol, rows: HostRows, start: int | None) -> Columns:
     """The columns of the host's rows."""
-    garbage, head, tail = rows.kind == batches.GARBAGE, protocol.layout.head, protocol.layout.tail
+    garbage, head = rows.kind == batches.GARBAGE, protocol.layout.head
 
     def length() -> Column:
         return (
@@ -87,7 +87,9 @@ def _host_columns(protocol: Protocol, rows: HostRows, start: int | None) -> Colu
         )
 
     def data() -> Octets:
-        size = np.maximum(rows.size - head - np.where(rows.kind == batches.INSTRUCTION, tail, 0), 0)
+        tails = np.array([protocol.layout.of(identity).tail for identity in protocol.keys])
+        tail = np.where(rows.kind == batches.INSTRUCTION, tails.take(rows.header), 0)
+        size = np.maximum(rows.size - head - tail, 0)
         return Octets(rows.data, rows.offset + head, np.where(garbage, -1, size))
 
     def name() -> Column:
@@ -100,9 +102,8 @@ def _host_columns(protocol: Protocol, rows: HostRows, start: int | None) -> Colu
         for spec in protocol.instructions:
             if spec.fields:
                 found = np.flatnonzero(judged & (rows.header == protocol.key_of(spec.id)))
-                yield _Carried(
-                    spec, found, rows.offset[found] + head, rows.size[found] - head - tail
-                )
+                size = rows.size[found] - head - protocol.layout.of(spec.id).tail
+                yield _Carried(spec, found, rows.offset[found] + head, size)
 
     own: Makers = {
         "id": partial(_part_of, protocol, rows, "id"),

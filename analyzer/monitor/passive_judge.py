@@ -59,7 +59,7 @@ class Coverage:
         if judgement.valid:
             self._meet("instructions", judgement.id)
             self._meet("valid frames", frame)
-            data = frame[judgement.head : len(frame) - self._protocol.layout.tail]
+            data = self._protocol.layout.of(judgement.id).data_of(frame)
             self._meet(f"data of {judgement.name}", data)
             return
         outcome = None if judgement.truncated else judgement.outcome

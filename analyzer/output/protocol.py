@@ -67,7 +67,9 @@ def _meaning(layout: Layout, part: Part) -> str:
     names = [p.name for p in layout.parts if layout.check.first <= p.offset < layout.head]
     names += ["data"] if layout.has_data else []
     covered = " to ".join(dict.fromkeys([names[0], names[-1]]))
-    return f"{_check(layout.check.function)} of {before}{covered}"
+    words = f"{_check(layout.check.function)} of {before}{covered}"
+    without = ", ".join(map(str, sorted(layout.unchecked)))
+    return f"{words}; none for ID {without}" if without else words
 
 
 def _check(function: CheckFunction) -> str:

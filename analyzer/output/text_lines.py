@@ -44,7 +44,7 @@ def hex_width(protocol: Protocol) -> int:
     sizes = sorted(
         layout.head + data.length + layout.tail
         for spec in protocol.instructions
-        for layout, data in ((protocol.layout, spec), usual_way(protocol, spec))
+        for layout, data in ((protocol.layout.of(spec.id), spec), usual_way(protocol, spec))
         if data
     )
     usual = sizes[len(sizes) * 3 // 4] if sizes else 0

@@ -242,7 +242,8 @@ def faulty_request(protocol: Protocol, chance: Random) -> bytes:
         if not judge(protocol, frame).valid:
             return frame
     frame = drawn_request(protocol, chance)
-    last = protocol.layout.parts[-1] if protocol.layout.tail else None
+    layout = protocol.layout.of_frame(frame)
+    last = layout.parts[-1] if layout.tail else None
     if last is None or last.role not in ("check", "constant"):
         return frame
     return frame[:-1] + bytes([frame[-1] ^ 1 << chance.randrange(8)])

@@ -103,7 +103,8 @@ class HalfDuplex:
         size = frame_size(self._protocol, held) or 0
         if not 0 < size <= len(held):
             return 0
-        judgement, check = judge(self._protocol, held[:size]), self._protocol.layout.check
+        judgement = judge(self._protocol, held[:size])
+        check = self._protocol.layout.of(judgement.id).check
         right = judgement.outcome not in FRAMING_FAULTS if check else judgement.valid
         return size if right else 0
 

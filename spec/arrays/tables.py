@@ -49,7 +49,9 @@ class RequestTables:
         self._by_byte = self._kinds_of(
             layouts.part_values(identity, every.astype(np.uint8), every - identity.offset, every)
         )
-        self._sizes = layouts.Sizes([(layout, spec) for spec in self.specs])
+        self._sizes = layouts.Sizes([(layout.of(spec.id), spec) for spec in self.specs])
+        # By kind, -1 for an unused ID.
+        self._checked = np.array([*(spec.id not in layout.unchecked for spec in self.specs), True])
         silent = protocol.answers[Outcome.VALID] is NO_ANSWER
         self._answered = np.array([not silent and spec.answer is not None for spec in self.specs])
         self.keys = np.array([protocol.key_of(spec.id) for spec in self.specs], np.uint8)
@@ -168,9 +170,13 @@ class RequestTables:
 
     def _sizes_at(self, data: Bytes, offset: Places) -> Places:
         """The sizes of the frames at these places, 0 for none; see `frame_sizes`."""
-        if self.layout.part("length") is not None:
-            return layouts.frame_sizes(self.layout, DataSpec(), data, offset)
-        return self._sizes.at(self._kinds(data, offset), data, offset)
+        if self.layout.part("length") is None:
+            return self._sizes.at(self._kinds(data, offset), data, offset)
+        size = layouts.frame_sizes(self.layout, DataSpec(), data, offset)
+        if self.layout.unchecked:
+            checked = self._checked.take(self._kinds(data, offset))
+            size[~checked & (size > 0)] -= self.layout.tail
+        return size
 
     def _walk(self, data: Bytes, at: int) -> Places:
         """Where the frames from `at` on begin that are whole, and where the next one begins."""
@@ -213,7 +219,9 @@ class RequestTables:
     def _valid(self, data: Bytes, start: Places, end: Places, kind: Places) -> Mask:
         """Which frames a device judges to be valid; see `codec.judge`."""
         good = (kind >= 0) & layouts.constants_hold(self.layout, data, start, end)
-        good &= layouts.checks_hold(self.layout, data, start, end)
+        checked = self._checked.take(kind)
+        rows: slice | Places = slice(None) if checked.all() else np.flatnonzero(checked)
+        good[rows] &= layouts.checks_hold(self.layout, data, start[rows], end[rows])
         to = self.layout.part("address")
         good &= self._to(data, start, to.broadcast if to else None)
         for place, spec in enumerate(self.specs):
@@ -222,16 +230,25 @@ class RequestTables:
                 good[rows] = self._good_data(spec, data, start[rows], end[rows])
         return good
 
-    def _good_data(self, spec: DataSpec, data: Bytes, start: Places, end: Places) -> Mask:
+    def _good_data(self, spec: InstructionSpec, data: Bytes, start: Places, end: Places) -> Mask:
         """Which frames with such data have as many as are needed, all in their ranges."""
-        good = layouts.sized(self.layout, spec, data, start, end)
+        layout = self.layout.of(spec.id)
+        good = layouts.sized(layout, spec, data, start, end)
         rows = np.flatnonzero(good)
-        at = start[rows] + self.layout.head
-        size, right = end[rows] - self.layout.tail - at, np.ones(len(rows), np.bool_)
+        at = start[rows] + layout.head
+        size, right = end[rows] - layout.tail - at, np.ones(len(rows), np.bool_)
         for part in spec.fields:
             right &= layouts.in_range(part, data, at + part.offset, size - part.offset)
         good[rows] = right
         return good
+
+    def covered(self, requests: Requests) -> tuple[Places, Places]:
+        """Where what the check of each request covers begins and ends; see `Layout.covered_in`."""
+        check = self.layout.check
+        if check is None:
+            return requests.offset, requests.end
+        behind = np.where(self._checked.take(requests.kind), check.last, 0)
+        return requests.offset + check.first, requests.end - behind
 
     def numbers(self, data: Bytes, requests: Requests, kind: int) -> Mapping[str, Places]:
         """The parts and the fields of requests of one kind that are numbers, by name."""
@@ -430,10 +447,8 @@ class AnswerTables:
             where = data, these.offset, these.end
             before = None
             if layout.check and layout.check.asked:
-                check = self._protocol.layout.check
-                first, last = (check.first, check.last) if check else (0, 0)
                 before = layouts.Checking(layout.check.function, len(to.kind))
-                before.take(asked, to.offset + first, to.end - last)
+                before.take(asked, *self._tables.covered(to))
             right = layouts.constants_hold(layout, *where) & layouts.checks_hold(
                 layout, *where, before
             )

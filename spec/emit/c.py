@@ -126,6 +126,8 @@ def _instruction(protocol: Protocol, spec: InstructionSpec) -> Iterator[Line]:
     yield f"{name}_ID", str(spec.id), spec.prose
     at_least = " at least" if spec.counted else ""
     yield f"{name}_LENGTH", str(spec.length), f"data bytes{at_least}"
+    if spec.id in protocol.layout.unchecked:
+        yield f"{name}_UNCHECKED", "1", "nothing stands behind its data"
     if protocol.plain:
         yield name, _hex(protocol.header_bytes[spec.id, spec.length]), "header byte"
     for field in spec.fields:

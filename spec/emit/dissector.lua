@@ -183,7 +183,9 @@ local FUNCTIONS = {
 
 local function covered(layout, bytes)
     local check = layout.check
-    return check and bytes:sub(1 + check.first, #bytes - check.last) or bytes
+    local first, behind = layout.first or 0, 0
+    if check then first, behind = check.first, check.last end
+    return bytes:sub(1 + first, #bytes - behind)
 end
 
 -- Reading what stands in a frame.
@@ -346,7 +348,7 @@ local function unused(id)
 end
 
 local function cut_short(item, bytes, size)
-    local layout, spec, begun = GRAMMAR.frame, item.spec, #bytes >= GRAMMAR.frame.head
+    local layout, spec, begun = item.layout, item.spec, #bytes >= item.layout.head
     if not spec and begun and not layout.check then return "UNKNOWN_ID", unused(item.id) end
     local name = spec and spec.name .. ": " or ""
     if begun and item.length and layout.tail == 0 then
@@ -358,7 +360,7 @@ local function cut_short(item, bytes, size)
 end
 
 local function fault(item, bytes)
-    local layout, spec = GRAMMAR.frame, item.spec
+    local layout, spec = item.layout, item.spec
     local data, least = bytes:sub(layout.head + 1, #bytes - layout.tail), layout.head + layout.tail
     if #bytes < least then data = bytes:sub(layout.head + 1) end
     local due = spec and measured(spec.fields, data)
@@ -392,12 +394,20 @@ local function fault(item, bytes)
         row.name ~= "" and row.name or "constant", in_words(row, values), row.allowed, place or "")
 end
 
+-- The layout of frames without the check, which is all that stands behind the data of the others.
+local UNCHECKED = { head = GRAMMAR.frame.head, tail = 0, parts = {},
+    first = GRAMMAR.frame.check and GRAMMAR.frame.check.first }
+for _, part in ipairs(GRAMMAR.frame.parts) do
+    if part.role ~= "check" then table.insert(UNCHECKED.parts, part) end
+end
+
 local function judge(item, bytes)
     local layout = GRAMMAR.frame
     item.bytes, item.layout, item.name = bytes, layout, "incomplete frame"
     if #bytes >= layout.head then
         item.id = value_of(layout, "id", bytes) or 0
         item.spec = GRAMMAR.instructions[item.id]
+        if item.spec and item.spec.unchecked then layout, item.layout = UNCHECKED, UNCHECKED end
         item.name = item.spec and item.spec.name or format("unused %.0f", item.id)
         item.address = value_of(layout, "address", bytes)
         item.length = value_of(layout, "length", bytes)
@@ -631,7 +641,7 @@ end
 local function changed(state, frame)
     local new, values = {}, {}
     for i, row in ipairs(frame.reason and {} or frame.rows) do
-        local data = frame.bytes:sub(GRAMMAR.frame.head + 1, #frame.bytes - GRAMMAR.frame.tail)
+        local data = frame.bytes:sub(frame.layout.head + 1, #frame.bytes - frame.layout.tail)
         values[i] = not row.bytes and not row.count and values_of(row, data)[1].value or false
     end
     for variable, value in pairs(state) do new[variable] = value end

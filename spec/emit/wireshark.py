@@ -80,6 +80,7 @@ def _grammar(protocol: Protocol) -> dict[str, Any]:
                 "fields": _fields(spec),
                 "answer": None if spec.answer is None else _answer_fields(protocol, spec.answer),
                 "sets": _sets(spec.effect, spec.fields),
+                **({"unchecked": True} if spec.id in protocol.layout.unchecked else {}),
             }
             for word, spec in words.items()
         },

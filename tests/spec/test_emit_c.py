@@ -88,6 +88,12 @@ def test_the_header_of_any_layout_compiles(seed: int, tmp_path: Path) -> None:
     require_compiled(tmp_path, header, "int nothing;", "gcc", "-std=c89")
 
 
+def test_what_is_sent_without_a_check_is_marked() -> None:
+    header = c_header(framed("roboclaw.py"))
+    marked = [name for name in constants(header, "ROBOCLAW") if name.endswith("_UNCHECKED")]
+    assert marked == ["MAIN_BATTERY_UNCHECKED", "CURRENTS_UNCHECKED"]
+
+
 def test_a_request_is_built_from_the_header_alone() -> None:
     protocol = load_protocol("modbus-rtu")
     found = constants(c_header(protocol), "MODBUS_RTU")

@@ -24,6 +24,7 @@ from bilprov.spec.protocol import GrammarError, Protocol, load
 from bilprov.spec.replies import build_reply, read_reply, reply_size
 from bilprov.spec.safe_grammar import require_declarations
 from tests.support.drawn_layouts import DrawnLayout, drawn_fields, drawn_layout, drawn_values
+from tests.support.framed_traffic import FRAMED
 from tests.support.grammars import CAMERA
 from tests.vectors_modbus_rtu import REQUESTS
 
@@ -169,6 +170,7 @@ def test_drawn_layouts_differ_in_all_that_a_layout_has() -> None:
     layouts = [drawn(seed).protocol.layout for seed in SEEDS]
     for role in ("address", "length", "other", "check", "constant"):
         assert 20 < sum(one.part(role) is not None for one in layouts) < 180, role
+    assert 20 < sum(bool(one.unchecked) for one in layouts) < 180
 
 
 def test_a_wrong_check_is_said_with_the_right_one() -> None:
@@ -180,6 +182,32 @@ def test_a_wrong_check_is_said_with_the_right_one() -> None:
     judgement = judge(one.protocol, wrong)
     assert judgement.outcome is Outcome.BAD_CHECKSUM
     assert part.raw(raw).hex(" ") in judgement.reason
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "refused"),
+    [
+        (
+            "49: Pass",
+            "50: Pass",
+            "no check for the ID 50, which no instruction has; allowed are 0, 1",
+        ),
+        ("49: Pass", "49: Byte", "the check of FRAME for ID 49 is a .*, allowed is Pass: no check"),
+        ("49: Pass", '"49": Pass', "an ID of FRAME without a check is '49'"),
+        ("value.id, READS", "value.address, READS", "allowed is the path to its part id"),
+        ('    "crc" / Switch', '    "x" / Byte,\n    "crc" / Switch', "nothing else stands behind"),
+        (
+            "Checksum(Int16ub, CRC, asked.covered.data + this.covered.data)",
+            "Switch(this.id, {}, default=Checksum(Int16ub, CRC, this.covered.data))",
+            "REPLY.crc is a Switch, allowed is one for the check of FRAME",
+        ),
+    ],
+)
+def test_a_check_that_no_request_can_lack_is_refused(old: str, new: str, refused: str) -> None:
+    text = FRAMED["roboclaw"]
+    assert old in text
+    with pytest.raises(GrammarError, match=refused):
+        load(text.replace(old, new))
 
 
 # -- parts of less than a byte ---------------------------------------------------------------------

@@ -267,8 +267,9 @@ EXCHANGES = [
     (RELAY, "On", {"address": 2}, "5556000000 02 01 AE", "333C000000 02 01 72", {"state": 1}),
     (RELAY, "Off", {"address": 1}, "5556000000 01 02 AE", "333C000000 01 02 72", {"state": 2}),
     (RELAY, "Toggle", {"address": 4}, "5556000000 04 03 B2", "333C000000 04 02 75", {"state": 2}),
-    (ROBOCLAW, "MainBattery", {"address": 0x81}, "81 18 BB90", "007C FE55", {"voltage": 124}),
-    (ROBOCLAW, "MainBattery", {"address": 0x80}, "80 18 88A1", "007C 88E1", {"voltage": 124}),
+    (ROBOCLAW, "MainBattery", {"address": 0x81}, "81 18", "007C FE55", {"voltage": 124}),
+    (ROBOCLAW, "MainBattery", {"address": 0x80}, "80 18", "007C 88E1", {"voltage": 124}),
+    (ROBOCLAW, "Currents", {"address": 0x80}, "80 31", "000A 0014 E7EB", {"m1": 10, "m2": 20}),
     (ROBOCLAW, "ForwardM1", {"address": 0x80, "speed": 0}, "80 00 00 3B5A", "FF", {}),
 ]
 

@@ -16,7 +16,7 @@ _IMPORTS = """\
 from construct import (
     Array, BitsInteger, BitStruct, Byte, Bytes, BytesInteger, Checksum, Const, Enum, FixedSized,
     FlagsEnum, GreedyBytes, GreedyRange, Int8sb, Int16sb, Int16ub, Int16ul, Int24sl, Int24ub,
-    Int32sl, Int64ub, Int64sl, Prefixed, PrefixedArray, RawCopy, Struct, Switch, this,
+    Int32sl, Int64ub, Int64sl, Pass, Prefixed, PrefixedArray, RawCopy, Struct, Switch, this,
 )
 from bilprov.spec.fields import (
     Address, Answer, Answers, Clauses, Crc, Data, Fletcher, Instruction, Length, LineDefaults,
@@ -127,9 +127,15 @@ def _text(draw: Random) -> str:
     told = f"FixedSized({length_of}, Data())" if has_length else "Data()"
     covered = [*head, f'"data" / {data}']
     replied = [*map(_echoed, head), '"code" / RESPONSE', f'"data" / {told}']
-    frame = _around(sync, covered, check if has_check else None, end)
-    reply = _around(sync, replied, check if has_check else None, end)
+    checked = f"Checksum({check[0]}, {check[1]}, this.covered.data)" if has_check else ""
+    reply = _around(sync, replied, checked, end)
     identities = sorted(draw.sample(range(8 if bits else 250), draw.randint(1, 5)))
+    unchecked = [one for one in identities if draw.random() < 0.2]
+    if has_check and not end and unchecked:
+        path = f"this.covered.value.{'h.' if bits else ''}id"
+        cases = ", ".join(f"{one}: Pass" for one in unchecked)
+        checked = f"Switch({path}, {{{cases}}}, default={checked})"
+    frame = _around(sync, covered, checked, end)
     instructions = "".join(
         _instruction(draw, place, identity, has_length=has_length)
         for place, identity in enumerate(identities)
@@ -178,15 +184,15 @@ def _echoed(part: str) -> str:
     return part.replace(_ID, _ECHO)
 
 
-def _around(sync: bytes, parts: list[str], check: tuple[str, str | None] | None, end: bytes) -> str:
+def _around(sync: bytes, parts: list[str], checked: str, end: bytes) -> str:
     inner = ", ".join(parts)
     front = [f'"sync" / Const({sync!r})'] if sync else []
     behind = [f'"end" / Const({end!r})'] if end else []
-    if check is None:
+    if not checked:
         return f"Struct({', '.join([*front, inner, *behind])})"
     covered = f'"covered" / RawCopy(Struct({inner}))'
-    checked = f'"check" / Checksum({check[0]}, {check[1]}, this.covered.data)'
-    return f"Struct({', '.join([*front, covered, checked, *behind])})"
+    check = f'"check" / {checked}'
+    return f"Struct({', '.join([*front, covered, check, *behind])})"
 
 
 def _instruction(draw: Random, place: int, identity: int, *, has_length: bool) -> str:

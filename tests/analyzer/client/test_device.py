@@ -116,24 +116,7 @@ def test_a_device_that_the_grammar_brings_to_rest_is_left_at_rest() -> None:
     assert not device.state(0x81).moving
 
 
-def _motors() -> str:
-    """The example of motor controllers with a state, and with what it is at rest."""
-    text = (ROOT / "examples" / "roboclaw.py").read_text(encoding="utf-8")
-    for motor in (1, 2):
-        for kind, factor in (("Forward", ""), ("Backward", ", factor=-1")):
-            head, name, rest = text.partition(f'"{kind}M{motor}"')
-            old = f'changes="the speed of motor {motor}"'
-            text = (
-                head + name + rest.replace(old, f'effect=Sets(m{motor}=From("speed"{factor}))', 1)
-            )
-    text = text.replace("    Ranged,\n", "    AllOf, From, Ranged, Sets, Variables, Whole,\n")
-    return text + (
-        "\nSTATE = Variables(m1=Whole(-127, 127), m2=Whole(-127, 127))\n"
-        "POWER_ON = Sets(m1=0, m2=0)\nFAULTY = Sets()\nAT_REST = AllOf(m1=0, m2=0)\n"
-    )
-
-
-MOTORS = _motors()
+MOTORS = (ROOT / "examples" / "roboclaw.py").read_text(encoding="utf-8")
 
 
 def test_of_a_device_without_a_rest_nothing_is_told_when_its_line_is_lost() -> None:
