@@ -124,6 +124,7 @@ def drawn(folder: Path, choose: random.Random, length: int) -> Path:
     return path
 
 
+@pytest.mark.slow
 @settings(max_examples=100)
 @given(seed=st.integers(0, 1 << 64), length=st.sampled_from([0, 1, 20, 300]))
 def test_the_batches_of_any_capture_hold_its_events_and_its_front_gives_them_or_is_void(

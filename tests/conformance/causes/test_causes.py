@@ -127,6 +127,7 @@ def test_one_cause_names_what_goes_wrong_and_when(
     assert cause.tried
 
 
+@pytest.mark.slow
 def test_a_wrong_answer_behind_which_it_does_not_stop_keeps_it_moving(protocol: Protocol) -> None:
     bank = fault_bank(protocol)
     accepted, stopped = bank["accepts-id-9"], bank["speed-stops-it"]
@@ -146,6 +147,7 @@ def test_each_frame_more_than_a_device_has_room_for_is_one_cause(protocol: Proto
     assert cause.when == "any frame, with 2 or more frames before it not answered yet"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["answers-too-late", "double-answer-to-faults"])
 def test_an_answer_with_the_right_code_hides_no_missing_stop(protocol: Protocol, name: str) -> None:
     fault = both(find_fault(protocol, name), find_fault(protocol, "no-stop-on-bad-data"))
@@ -421,6 +423,7 @@ def test_its_line_shows_what_depends_on_more_than_a_rule_says(
     assert "tried again: the same" in cause.sentence
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "value", "together"),
     [

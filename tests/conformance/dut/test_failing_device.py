@@ -111,6 +111,7 @@ def of(report: Report, verdict: Verdict) -> list[str]:
     return [result.id for result in report.results if result.verdict is verdict]
 
 
+@pytest.mark.slow
 def test_one_that_floods_fails_and_is_not_listened_to_for_ever(protocol: Protocol) -> None:
     after = counted(protocol) * 3 // 4
     tracemalloc.start()

@@ -12,6 +12,7 @@ from bilprov.spec.protocol import Protocol
 from tests.support.faults import BANK, made
 
 
+@pytest.mark.slow
 def test_nothing_shows_for_the_reference_nor_for_what_never_happens(protocol: Protocol) -> None:
     # A fault has stopped the robot before.
     never = made(protocol, "drives-on", "faulty, row > 0, moves forward")

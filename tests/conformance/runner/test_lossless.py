@@ -22,6 +22,7 @@ def once(number: int) -> Fault:
     return Fault("x", "test", "", react=when(every(faulty, at_count("faults", number)), twice))
 
 
+@pytest.mark.slow
 def test_what_is_met_once_fails_and_says_so(protocol: Protocol) -> None:
     report = conform(Simulator(protocol, once(60)), options=Options(level="smoke"))
 
@@ -31,6 +32,7 @@ def test_what_is_met_once_fails_and_says_so(protocol: Protocol) -> None:
     assert "flaky" not in failed.reason
 
 
+@pytest.mark.slow
 @pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("declared", "code"), [(None, 3), (False, 3), ("yes", 3), (1, 3), (True, 1)]
