@@ -407,7 +407,7 @@ def _checksum(declared: Construct) -> Construct:
 
 def _unchecked(what: str, declared: construct.Switch) -> frozenset[int]:
     """The IDs of the frames without a check."""
-    _require_path(what, "Switch", declared.keyfunc, "id")
+    _require_path(what, "Switch", declared.keyfunc, "id", like="covered.value.id")
     for identity, case in declared.cases.items():
         require(f"an ID of {what} without a check", identity, int)
         if case is not construct.Pass:
@@ -463,13 +463,13 @@ def _require_paths(what: str, declared: Construct, before: Sequence[Part]) -> No
         _require_path(what, word, expression, name)
 
 
-def _require_path(what: str, word: str, expression: object, name: str) -> None:
+def _require_path(what: str, word: str, expression: object, name: str, like: str = "") -> None:
     """Raise WrongValue unless an expression is a path to the part of that name."""
     path = re.sub(r"\['(\w+)'\]", r".\1", repr(expression))
     if not re.fullmatch(rf"this\.(\w+\.)*{name}", path):
         raise WrongValue(
             f"{what} has {word}({path}, ...), allowed is the path to its part {name}: "
-            f"{word}(this.{name}, ...)"
+            f"{word}(this.{like or name}, ...)"
         )
 
 

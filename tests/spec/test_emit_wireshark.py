@@ -23,7 +23,7 @@ from bilprov.spec.protocol import Protocol, load
 from bilprov.spec.replies import build_reply
 from tests.support.decoding import Event, capture_session, decoded
 from tests.support.drawn_layouts import drawn_layout
-from tests.support.framed_traffic import FRAMED, Traffic, exchanges
+from tests.support.framed_traffic import FRAMED, WITH_SYNC, Traffic, exchanges
 from tests.support.grammars import checked_digits
 from tests.support.traffic import ACTS, Acts, played
 from tests.support.wireshark import Tshark, capture_of, exported, reads
@@ -261,7 +261,7 @@ def test_a_number_that_lua_cannot_hold_is_shown_as_bytes(grammar_text: str, tmp_
     "protocol",
     [
         *(load_protocol(name) for name in ("modbus-rtu", "stk500v1", "dynamixel1")),
-        *(load(FRAMED[name]) for name in ("relay_board", "roboclaw")),
+        *(load(text) for text in (FRAMED["relay_board"], FRAMED["roboclaw"], WITH_SYNC)),
         *(drawn_layout(seed).protocol for seed in (*range(0, 200, 40), 58, 77)),
     ],
     ids=lambda protocol: protocol.name,

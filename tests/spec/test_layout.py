@@ -24,7 +24,7 @@ from bilprov.spec.protocol import GrammarError, Protocol, load
 from bilprov.spec.replies import build_reply, read_reply, reply_size
 from bilprov.spec.safe_grammar import require_declarations
 from tests.support.drawn_layouts import DrawnLayout, drawn_fields, drawn_layout, drawn_values
-from tests.support.framed_traffic import FRAMED
+from tests.support.framed_traffic import FRAMED, READS_UNCHECKED, WITH_SYNC
 from tests.support.grammars import CAMERA
 from tests.vectors_modbus_rtu import REQUESTS
 
@@ -194,7 +194,11 @@ def test_a_wrong_check_is_said_with_the_right_one() -> None:
         ),
         ("49: Pass", "49: Byte", "the check of FRAME for ID 49 is a .*, allowed is Pass: no check"),
         ("49: Pass", '"49": Pass', "an ID of FRAME without a check is '49'"),
-        ("value.id, READS", "value.address, READS", "allowed is the path to its part id"),
+        (
+            "value.id, READS",
+            "value.address, READS",
+            r"its part id: Switch\(this.covered.value.id, ",
+        ),
         ('    "crc" / Switch', '    "x" / Byte,\n    "crc" / Switch', "nothing else stands behind"),
         (
             "Checksum(Int16ub, CRC, asked.covered.data + this.covered.data)",
@@ -208,6 +212,16 @@ def test_a_check_that_no_request_can_lack_is_refused(old: str, new: str, refused
     assert old in text
     with pytest.raises(GrammarError, match=refused):
         load(text.replace(old, new))
+
+
+def test_what_lacks_its_check_is_explained_and_answered() -> None:
+    """The answer's bytes are typed by hand; the check counts neither the sync nor itself."""
+    (cut,) = explain(load(READS_UNCHECKED), bytes.fromhex("80 18")).frames
+    assert (cut.missing, cut.judgement.truncated) == (1, True)
+    protocol = load(WITH_SYNC)
+    asked = judge(protocol, bytes.fromhex("55 80 18 01"))
+    reply = build_reply(protocol, asked, {"voltage": 124})
+    assert (asked.valid, reply.hex(" ")) == (True, "00 7c 34 9f")
 
 
 # -- parts of less than a byte ---------------------------------------------------------------------

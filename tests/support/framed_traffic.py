@@ -146,6 +146,16 @@ FRAMED = {
     )
     for name in names
 }
+
+READS_UNCHECKED = FRAMED["roboclaw"].replace(
+    '        document="24 - Read Main',
+    '        "channel" / Ranged(Byte, 1, 2) * "which battery",\n        document="24 - Read Main',
+)
+"""The motor controllers with a read that has data; the read is sent without a check."""
+WITH_SYNC = READS_UNCHECKED.replace("FRAME = Struct(", 'FRAME = Struct(\n    Const(b"U"),').replace(
+    "import Byte, Checksum,", "import Byte, Checksum, Const,"
+)
+"""The same with a fixed byte in front, which the check does not count."""
 """The texts of the grammars, shipped ones and examples, whose frames are not the car's."""
 
 

@@ -14,6 +14,7 @@ from bilprov.analyzer.decode.columns import ColumnBatch
 from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import FaultRecord
 from bilprov.analyzer.decode.session import SKEW, Session
+from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.captures.schemas import Chunk, Direction
 from bilprov.spec.codec import build
@@ -25,7 +26,7 @@ from tests.analyzer.decode.test_stream import same
 from tests.support import ROOT
 from tests.support.decoding import MS, Event, decoded, devices, hosts
 from tests.support.drawn_layouts import drawn_layout
-from tests.support.framed_traffic import Traffic, exchanges
+from tests.support.framed_traffic import READS_UNCHECKED, WITH_SYNC, Traffic, exchanges
 from tests.support.grammars import SWITCHES, checked_digits
 from tests.vectors_checks import CHECKS, CheckVector
 
@@ -152,6 +153,53 @@ def test_each_of_several_numbers_has_its_names_and_its_range(wrong: str, reason:
     assert {row.reply.describe() for row in devices(rows) if row.reply} == {told}
     with pytest.raises(ValueError, match=r"Set\.limits is 6, allowed are -3 to 5"):
         build(protocol, "Set", {"modes": [0, 0], "limits": [6]})
+
+
+def test_requests_without_a_check_are_columns_too() -> None:
+    """The answer to such a request counts it, but not the fixed byte in front of it."""
+    protocol = load(WITH_SYNC)
+    sides: list[tuple[Direction, str]] = [
+        ("host", "55 80 18 01"),
+        ("device", "00 7c 34 9f"),
+        ("host", "55 80 00 09 aa 73"),
+        ("device", "ff"),
+    ]
+    sent = [
+        Chunk(at * 100 * MS, side, bytes.fromhex(text))
+        for at, (side, text) in enumerate(sides * 20)
+    ]
+
+    parts = same(protocol, sent, [40])
+
+    assert not any(isinstance(batch, Records) for batch in parts)
+    rows = [row for batch in parts for row in batch.records()]
+    assert {row.judgement.outcome for row in hosts(rows) if row.judgement} == {Outcome.VALID}
+    told = {row.reply.describe() for row in devices(rows) if row.reply}
+    assert told == {"answer voltage=124", "ACK"}
+    for text in ("len == 1 and data == 01", "channel == 1"):
+        test = compile_filter(text, protocol)
+        assert sum(int(next(iter(test.selection(batch))).sum()) for batch in parts) == 20, text
+
+
+def test_the_last_field_of_a_request_without_a_check_goes_to_its_end() -> None:
+    text = READS_UNCHECKED.replace("Ranged(Byte, 1, 2)", "Prefixed(Byte, GreedyBytes)")
+    protocol = load(text.replace("import Byte,", "import Byte, GreedyBytes, Prefixed,"))
+    sent = [Chunk(at * 100 * MS, "host", bytes.fromhex("80 18 02 41 42")) for at in range(20)]
+
+    test = compile_filter("channel == 41 42", protocol)
+    found = [test.selection(batch) for batch in same(protocol, sent, [40])]
+
+    assert sum(int(next(iter(each)).sum()) for each in found) == 20
+
+
+def test_only_a_check_confirms_where_frames_begin() -> None:
+    """A tap joined the line; whether a request without a check began there is not known."""
+    sent = ["80 18 01", "80 00 09 aa 73", "80 18 01"]
+    events = [Chunk(at * 100 * MS, "host", bytes.fromhex(text)) for at, text in enumerate(sent)]
+
+    rows = hosts(decoded(Session(load(READS_UNCHECKED), attached=True), events))
+
+    assert [bool(row.uncertain) for row in rows] == [True, False, False]
 
 
 # --------------------------------------------------------------------------------------------------

@@ -22,10 +22,10 @@ from bilprov.analyzer.transport.port import open_pty
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.spec.codec import judge
-from bilprov.spec.protocol import Protocol
+from bilprov.spec.protocol import Protocol, load
 from tests.analyzer.decode.test_foreign_traffic import TRAFFIC, events
 from tests.support.commands import command
-from tests.support.framed_traffic import Traffic, exchanges
+from tests.support.framed_traffic import READS_UNCHECKED, Traffic, exchanges
 
 TIMEOUT = 50 * MS
 
@@ -63,6 +63,17 @@ def test_drawn_traffic_is_told_apart(name: str) -> None:
 
 
 @pytest.mark.slow
+def test_a_request_without_a_check_is_one_only_if_it_is_valid() -> None:
+    """The first two bytes are the rest of another frame; the request begins behind them."""
+    sent = [("host", "80 18"), ("host", "80 18 01"), ("device", "00 7c 34 9f")]
+    data = [(side, byte) for side, text in sent for byte in bytes.fromhex(text)]
+    chunks = [Chunk(at * 1000, "host", bytes([byte])) for at, (_, byte) in enumerate(data)]
+
+    found = by_byte(told(load(READS_UNCHECKED), chunks))
+
+    assert [(side, byte) for _, side, byte in found] == data
+
+
 def test_a_tap_may_join_at_any_byte() -> None:
     chunks = list(events("sr_flowmeter_target_15liter_per_min"))
     wire = b"".join(chunk.data for chunk in chunks)
