@@ -121,7 +121,6 @@ def test_another_reading_is_named_and_no_difference(
     assert variant.partition("=")[0] in [*points, "R-stop-latency"]
 
 
-@pytest.mark.slow
 def test_every_run_gives_the_same(protocol: Protocol) -> None:
     first, again = (learn(protocol, Blind(faulty(protocol, "codes-reversed"))) for _ in range(2))
 

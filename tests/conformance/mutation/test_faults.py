@@ -226,7 +226,6 @@ def test_words_of_cases_stand_for_globs() -> None:
     assert globs("truncated valid/*") == (*truncated, "valid/*")
 
 
-@pytest.mark.slow
 def test_a_mixture_is_compared_with_what_the_device_has_chosen(protocol: Protocol) -> None:
     found = explained(protocol, ["mixture:R-fault-state=speed-zeroed:by-motion"], "smoke", 1)
     assert (found.causes, found.named, found.of, found.shown) == (1, 1, 1, True)
