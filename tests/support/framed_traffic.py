@@ -146,6 +146,7 @@ FRAMED = {
     )
     for name in names
 }
+"""The texts of the grammars, shipped ones and examples, whose frames are not the car's."""
 
 READS_UNCHECKED = FRAMED["roboclaw"].replace(
     '        document="24 - Read Main',
@@ -156,7 +157,6 @@ WITH_SYNC = READS_UNCHECKED.replace("FRAME = Struct(", 'FRAME = Struct(\n    Con
     "import Byte, Checksum,", "import Byte, Checksum, Const,"
 )
 """The same with a fixed byte in front, which the check does not count."""
-"""The texts of the grammars, shipped ones and examples, whose frames are not the car's."""
 
 
 def odd_traffic(protocol: Protocol, seed: int = 1, count: int = 40) -> list[Event]:
