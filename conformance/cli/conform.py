@@ -194,7 +194,8 @@ def conform(options: ConformOptions) -> int:
             raise ValueError(f"--extra {options.cases.extra} is for --level {COMPLETE.name}")
     except ValueError as error:
         raise click.UsageError(str(error)) from error
-    plan = _planned(protocol, options, last_run(protocol, robot.target))
+    last = last_run(protocol, robot.target, robot.fault, robot.variant)
+    plan = _planned(protocol, options, last)
     if options.cases.listing:
         note(plan.order)
         for case in _asked(protocol, plan.suite, plan.cases):

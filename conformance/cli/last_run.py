@@ -15,7 +15,7 @@ from bilprov.analyzer.cli.settings import state_folder
 from bilprov.analyzer.files import from_json, read_bounded, write_whole
 from bilprov.captures.text import escape_controls
 from bilprov.conformance.api import Options
-from bilprov.conformance.oracle.verdicts import VOUCHED, Verdict
+from bilprov.conformance.oracle.verdicts import VOUCHED, Cause, Verdict
 from bilprov.conformance.report.run_report import Report
 from bilprov.spec.protocol import Protocol
 
@@ -24,7 +24,7 @@ _MOST = 1 << 22  # bytes of a file
 
 
 class LastRun(msgspec.Struct, frozen=True):
-    """The last run of a device with a grammar: the ids of what failed, with their verdicts.
+    """The last run of a device with a grammar: the ids of what failed, with verdicts, and causes.
 
     A case that a later run could not judge stays as it was.
     """
@@ -32,6 +32,7 @@ class LastRun(msgspec.Struct, frozen=True):
     device: str
     grammar: str
     failed: dict[str, Verdict] = {}
+    causes: tuple[Cause, ...] = ()
 
     def after(self, report: Report) -> LastRun:
         """What is known after another run.
@@ -45,7 +46,13 @@ class LastRun(msgspec.Struct, frozen=True):
         if not (report.options.only or report.ended):
             judged |= self.failed.keys() - {result.id for result in report.results}
         kept = {ident: verdict for ident, verdict in self.failed.items() if ident not in judged}
-        return msgspec.structs.replace(self, failed=kept | failed_cases(report))
+        explained = {ident for cause in report.causes for ident in cause.cases}
+        causes = [msgspec.structs.replace(cause, log=()) for cause in report.causes]
+        for cause in self.causes:
+            if kept.keys() & set(cause.cases) and not explained & set(cause.cases):
+                causes.append(cause)
+        failed = kept | failed_cases(report)
+        return msgspec.structs.replace(self, failed=failed, causes=tuple(causes))
 
     def keep(self) -> None:
         """Write it for the next run; where that cannot be done, the next run knows of none."""
@@ -65,9 +72,13 @@ class Run(NamedTuple):
     after: LastRun
 
 
-def last_run(protocol: Protocol, device: str) -> LastRun:
-    """The last run of the device that `conform` names so; nothing failed where none is known."""
-    none = LastRun(escape_controls(device), escape_controls(f"{protocol.name}, {protocol.origin}"))
+def last_run(protocol: Protocol, *device: str | None) -> LastRun:
+    """The last run of a device; nothing failed where none is known.
+
+    `device` is what names it on the command line: the target, and the simulator's fault or variant.
+    """
+    words = " ".join(filter(None, device))
+    none = LastRun(escape_controls(words), escape_controls(f"{protocol.name}, {protocol.origin}"))
     file = _file(none.device, none.grammar)
     if file is not None:
         with suppress(OSError, ValueError):

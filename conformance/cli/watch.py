@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import select
+from collections import Counter
 from collections.abc import Callable, Collection
 from dataclasses import replace
 from functools import partial
@@ -22,9 +23,11 @@ from bilprov.captures.text import quantity
 from bilprov.conformance.cli.last_run import LastRun, Run, failed_cases
 from bilprov.conformance.dut.boards import EmulatorError
 from bilprov.conformance.dut.target import PORT, SIM, TargetName
+from bilprov.conformance.report.grouping import changed_causes
 
 _NEW = "new failures"
 _NAMED = 3  # cases in a line
+_CAUSES = {"gone": "fixed", "still there": "still there", "changed": "still there", "new": "new"}
 _NETWORK = ("socket://", "rfc2217://")
 _ABSENT = (LinkError, ProbeError, EmulatorError)  # of a device that cannot be opened yet
 
@@ -159,8 +162,11 @@ def change_words(number: int, run: Run) -> list[str]:
     )
     width = max(map(len, lists), default=0)
     early = ", ended early" if run.report.ended else ""
+    changes = changed_causes(run.before.causes, run.after.causes)
+    became = Counter(_CAUSES[one.change] for one in changes)
+    causes = ", ".join(f"{count} {what}" for what, count in became.items())
     return [
-        f"run {number}: {counts or 'nothing fails'}{early}",
+        f"run {number}: {counts or 'nothing fails'}{early}{causes and '; causes: '}{causes}",
         *(f"  {what:{width}}  {_named(idents)}" for what, idents in lists.items()),
     ]
 

@@ -16,7 +16,7 @@ from bilprov.conformance.cli.last_run import LastRun, Run
 from bilprov.conformance.cli.watch import Comeback, FileWatch, change_words
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import SIMAVR, TargetName
-from bilprov.conformance.oracle.verdicts import Verdict
+from bilprov.conformance.oracle.verdicts import Cause, Verdict
 from bilprov.spec.protocol import Protocol
 from tests.support.commands import command
 from tests.support.reports import a_case, a_run
@@ -45,7 +45,8 @@ def block(watching: Running) -> list[str]:
     while not lines[-1].startswith("run "):
         lines.append(watching.stdout.readline().decode())
         assert lines[-1], watching.stderr.read().decode()
-    count = lines[-1].count(",") + 1 if "nothing" not in lines[-1] else 0
+    cases, _, _ = lines[-1].partition(";")
+    count = cases.count(",") + 1 if "nothing" not in cases else 0
     lines += [watching.stdout.readline().decode() for _ in range(count)]
     return [" ".join(line.split()) for line in lines[-1 - count :]]
 
@@ -67,13 +68,13 @@ def test_a_device_behind_a_socket_is_tested_whenever_it_is_reachable_again(
         with simulate(*FAULTY) as served:
             words = ("conform", served.port, "--probe", served.probe, *profile, "--watch")
             watching = stack.enter_context(running(*words))
-            assert block(watching) == ["run 1: 1 new failure", f"new failures {LED}"]
+            assert block(watching) == ["run 1: 1 new failure; causes: 1 new", f"new failures {LED}"]
             until_it_waits(watching)
         with simulate(like=served):
-            assert block(watching) == ["run 2: 1 fixed", f"fixed {LED}"]
+            assert block(watching) == ["run 2: 1 fixed; causes: 1 fixed", f"fixed {LED}"]
             assert f"{served.port} is there again\n" in until_it_waits(watching)
         with simulate(*FAULTY, like=served) as served:
-            assert block(watching) == ["run 3: 1 new failure", f"new failures {LED}"]
+            assert block(watching) == ["run 3: 1 new failure; causes: 1 new", f"new failures {LED}"]
             until_it_waits(watching)
             assert watching.end()[0] == 1
             assert served.state()["moving"] is False
@@ -123,11 +124,11 @@ def test_a_changed_file_begins_a_run_and_the_exit_code_is_the_last_ones(
     stamp, report = tmp_path / "flashed", tmp_path / "report.json"
     words = ("--level", "smoke", "--only", "bad-data/LED/*", *FAULTY, "--json", str(report))
     with running("conform", "sim", *words, "--watch-file", str(stamp)) as watching:
-        assert block(watching)[0] == "run 1: 1 new failure"
+        assert block(watching)[0] == "run 1: 1 new failure; causes: 1 new"
         assert until_it_waits(watching)[-1] == f"waiting for {stamp} to change; Ctrl-C ends\n"
         report.unlink()
         stamp.touch()
-        assert block(watching)[0] == "run 2: 1 still failing"
+        assert block(watching)[0] == "run 2: 1 still failing; causes: 1 still there"
         assert f"{stamp} has changed\n" in until_it_waits(watching)
         assert report.exists()
         assert watching.end(how)[0] == 1
@@ -183,12 +184,19 @@ def test_what_a_run_changed_is_said_in_words(protocol: Protocol) -> None:
     def words(before: LastRun) -> list[str]:
         return change_words(4, Run(before, report, before.after(report)))
 
+    def cause(sentence: str, *cases: str) -> Cause:
+        return Cause(sentence, "always", "answer", "section 3", cases, 0, ())
+
+    before = replace(before, causes=(cause("a byte is off", *"ab"), cause("f is late", "f")))
+    report = replace(report, causes=(cause("f is later", "f"), cause("x is lost", "x")))
+
     assert words(before) == [
-        "run 4: 5 fixed, 1 still failing, 2 new failures, 1 not judged again",
+        "run 4: 5 fixed, 1 still failing, 2 new failures, 1 not judged again; "
+        "causes: 1 fixed, 1 still there, 1 new",
         "  fixed             a, b, c and 2 others",
         "  still failing     f",
         "  new failures      x, y",
         "  not judged again  g",
     ]
     none = LastRun("sim", "robot-car")
-    assert words(none) == ["run 4: 3 new failures", "  new failures  f, x, y"]
+    assert words(none) == ["run 4: 3 new failures; causes: 2 new", "  new failures  f, x, y"]
