@@ -72,17 +72,17 @@ class Explainer:
         return Timing(self.run.waiting.timeout, self._byte_time, self.run.timers.longest)
 
     def try_again(self) -> Procedure[None]:
-        """Try the line of each of the first causes again.
+        """Try the line of each of the first causes again, and then longer ones that may show them.
 
-        The device was just switched on where that can be done, and else homed. One that does not
-        answer any more is not tried, unless it can be switched on again.
+        The device was just switched on where that can be done, and else homed. One that cannot be
+        homed any more is not tried.
         """
-        begun, run = self._trace.now, self.run
-        if run.gave_up and not run.config.power:
-            return
-        for explanation in self.explanations[:_TRIED]:
-            for line in explanation.lines:
-                if line.unhomed and not run.config.power:
+        begun, tried = self._trace.now, self.explanations[:_TRIED]
+        shortest = [(explanation, explanation.lines[:1]) for explanation in tried]
+        longer = [(explanation, explanation.lines[1:]) for explanation in tried]
+        for explanation, lines in (*shortest, *longer):
+            for line in lines:
+                if explanation.shown or (line.unhomed and not self.run.config.power):
                     continue
                 if self._trace.now - begun > _WHILE:
                     return
@@ -90,7 +90,6 @@ class Explainer:
                     explanation.shown = yield from self._shows(explanation, line)
                     if explanation.shown:
                         yield from self._halve(explanation, begun)
-                        break
                 except GaveUp:
                     return
 

@@ -260,10 +260,15 @@ class Literal(NamedTuple):
         """Return whether the condition holds for an exchange."""
         return bool(self.fits(self.feature.of(exchange)))
 
+    @property
+    def period(self) -> int:
+        """The n of every n-th."""
+        return cast("tuple[int, int]", self.value)[0]
+
     def missing(self, exchange: Exchange) -> int:
         """How many frames more its feature must count until it is one of every n-th."""
-        every, rest = cast("tuple[int, int]", self.value)
-        return (rest - cast("int", self.feature.of(exchange))) % every
+        _, rest = cast("tuple[int, int]", self.value)
+        return (rest - cast("int", self.feature.of(exchange))) % self.period
 
     def fits(self, found: Any) -> Any:
         """Return whether the condition holds for a value of the feature, or for each of an array.

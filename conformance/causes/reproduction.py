@@ -57,19 +57,21 @@ class Chunk(NamedTuple):
 class Line(NamedTuple):
     """Frames to send. With `together` their answers are not waited for.
 
-    `unhomed` is for a device that was just switched on: it is not homed first.
+    `unhomed` is for a device that was just switched on: it is not homed first. Where it is one
+    line sent again and again, the device is looked at after each `period` of frames, too.
     """
 
     chunks: tuple[Chunk, ...]
     frames: int
     together: bool = False
     unhomed: bool = False
+    period: int = 0
 
     @property
     def half(self) -> Line:
         """The last half of its frames."""
         kept = self.chunks[len(self.chunks) // 2 :]
-        return Line(kept, len(kept), self.together)
+        return Line(kept, len(kept), self.together, period=self.period)
 
     def without_last(self, number: int) -> Line:
         """This line without its last frames; one that is sent together stays as it is."""
@@ -79,7 +81,8 @@ class Line(NamedTuple):
 
     def times(self, number: int) -> Line:
         """This line so often."""
-        return self._replace(chunks=self.chunks * number, frames=self.frames * number)
+        frames, period = self.frames * number, self.frames
+        return self._replace(chunks=self.chunks * number, frames=frames, period=period)
 
     def behind(self, frame: bytes, number: int) -> Line:
         """This line behind so many of these frames."""
@@ -102,13 +105,18 @@ def shown_by(line: Line, timing: Timing, watched: int = 0, *, looks: bool) -> Pr
     The last look comes `watched` ns after the last answer: what changes by itself needs time.
     """
     patience, silent = timing.longest + timing.timeout, 0
-    for pause, data in line.chunks:
+    for number, (pause, data) in enumerate(line.chunks, 1):
         if pause:
             yield from listen(None, pause)
         yield from send(data)
-        if not line.together:
-            heard = yield from listen(1, patience if silent < _SILENT else timing.timeout)
-            silent = 0 if heard.answers else silent + 1
+        if line.together:
+            continue
+        heard = yield from listen(1, patience if silent < _SILENT else timing.timeout)
+        silent = 0 if heard.answers else silent + 1
+        left = len(line.chunks) - number
+        if looks and left and line.period and left % line.period == 0:
+            yield from listen(None, _SETTLED)
+            yield from observe()
     if line.together:
         yield from listen(line.frames, patience)
     if looks:
@@ -162,7 +170,8 @@ class Finder:
         frames, or how often this one came so far. Nor is it that a cause counts which does not.
         """
         counted = [literal for literal in cause.rule if literal.feature.counts]
-        often = line.times(max(1, _LONGEST // line.frames))
+        periods = [literal.period for literal in counted if literal.operator == "every"]
+        often = line.times(max(1, min([_LONGEST // line.frames, *periods])))
         for longer in (line, often) if counted else (often,):
             for literal in counted:
                 missing, sent = last.history.frames, self._last(longer)
@@ -192,7 +201,8 @@ class Finder:
 
     def _lines(self, cause: Cause) -> Iterator[Line]:
         delivery = [e for e in cause.rule if e.feature.name in _DELIVERY and e.value not in _USUAL]
-        for last in _simplest(cause.exchanges):
+        moving = [e for e in cause.exchanges if cause.moves_on and e.before.state.moving]
+        for last in _simplest(moving or cause.exchanges):
             for chain in _endings(last):
                 before = chain[0].before
                 way = () if before.unknown else frames_to(self._model.protocol, before.state)
@@ -248,7 +258,12 @@ def shown_in(cause: Cause, line: Line, exchanges: Exchanges) -> Shown | None:
 
 
 def _shown(cause: Cause, effects: Sequence[Effect], exchange: Exchange) -> bool:
-    """Whether these effects of a cause would all show at an exchange, but for what it counts."""
+    """Whether these effects of a cause would all show at an exchange, but for what it counts.
+
+    That a device moves on shows where it moved.
+    """
+    if cause.moves_on and not exchange.before.state.moving:
+        return False
     differ = all(effect.relation.differs(exchange) for effect in effects)
     rule = tuple(literal for literal in cause.rule if not literal.feature.counts)
     return differ and matches(rule, exchange)

@@ -151,7 +151,6 @@ class Runner:
                 elif judged.stopped:
                     raise judged.stopped
         except GaveUp as gave_up:
-            run.gave_up = True
             self._not_run(Verdict.INCONCLUSIVE, f"precondition lost: {gave_up}")
         self._not_run(Verdict.SKIPPED, "an earlier case failed (--fail-fast)")
 

@@ -223,8 +223,7 @@ class Run:
 
     `profile` holds what was measured of the device, `strays` the answers that belong to no case,
     `results` every final result in order, `answers` how many came, `sight` what the looks have
-    shown, `followed` the settings that the probe has shown to follow. `gave_up` is true once the
-    device no longer answers.
+    shown, `followed` the settings that the probe has shown to follow.
     """
 
     def __init__(
@@ -257,7 +256,6 @@ class Run:
         self.waiting_failures: list[CaseResult] = []
         self.note = note
         self.notices: list[str] = []
-        self.gave_up = False
         self._begin = begin
         self._report = report
         self._told_coarse = False

@@ -15,6 +15,8 @@ from bilprov.analyzer.client.operations import (
     Send,
     drive,
     followed,
+    listen,
+    send,
 )
 from bilprov.analyzer.client.rest import home_once
 from bilprov.captures.schemas import MS, look_class
@@ -134,6 +136,7 @@ def test_a_wrong_answer_behind_which_it_does_not_stop_keeps_it_moving(protocol: 
     causes = report_of(protocol, both(accepted, stopped)).causes
     assert [cause.axis for cause in causes] == ["stop", "state"]
     assert "answers 00 OK instead of 01 BAD_HEADER and does not stop" in causes[0].sentence
+    assert causes[0].send[-2:] == ("20", "90")
     assert report_of(protocol, bank["always-0"]).causes[0].axis == "answer"
 
 
@@ -421,6 +424,32 @@ def test_its_line_shows_what_depends_on_more_than_a_rule_says(
     [cause] = report_of(protocol, find_fault(protocol, name)).causes
     assert cause.send == line
     assert "tried again: the same" in cause.sentence
+
+
+@pytest.mark.slow
+def test_what_is_wrong_at_every_nth_shows_whenever_its_line_begins(protocol: Protocol) -> None:
+    fault = fault_bank(protocol)["every-7th-fault-missed"]
+    recorded = Recorded(protocol, fault)
+    [cause] = recorded.causes
+    finder = Finder(Model(protocol, Choices()), recorded.timing)
+    line = next(line for line in finder.lines(cause) if line.period)
+    faulty = line.chunks[-1].data
+    lengths = set()
+    for earlier in range(7):
+        device, trace = Simulator(protocol, fault), Trace()
+
+        def attempt(trace: Trace = trace, earlier: int = earlier) -> Procedure[None]:
+            for _ in range(earlier):
+                yield from send(faulty)
+                yield from listen(1, MS)
+            yield from home_once(protocol)
+            yield from followed(shown_by(line, recorded.timing, looks=True), trace)
+
+        drive(attempt(), VirtualLink(device, recorded.timing.byte_time))
+        shown = shown_in(cause, line, exchanges_of(protocol, trace.events))
+        assert shown is not None
+        lengths.add(shown.line.frames)
+    assert min(lengths) < max(lengths) <= line.frames
 
 
 @pytest.mark.slow
