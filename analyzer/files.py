@@ -35,6 +35,14 @@ def read_bounded(path: Path, most: int, *, pipes: bool = False) -> bytes:
     return data
 
 
+def read_text(path: Path, most: int, *, pipes: bool = False) -> str:
+    """The text of a file that `read_bounded` reads. Raises OSError as it does, and for no UTF-8."""
+    try:
+        return read_bounded(path, most, pipes=pipes).decode()
+    except UnicodeDecodeError as error:
+        raise OSError(errno.EILSEQ, "it is not UTF-8 text") from error
+
+
 def real_path(path: str | Path) -> Path:
     """A path with its links followed; one in a ring of links stays (`Path.resolve` raises)."""
     return Path(os.path.realpath(path))
@@ -158,21 +166,23 @@ _DEEP = "too many of its values lie within each other"
 Value = TypeVar("Value")
 
 
-def safe(value: Any, room: int = DEEPEST) -> Any:
+def safe(value: Any, room: int = DEEPEST, *, typed: bool = False) -> Any:
     """The same value of dicts, lists and tuples in which every text prints and has a bound.
 
     What does not print in a text, or a key, becomes an escape like `\\x1b`; a text beyond
-    LONGEST_TEXT is cut, a whole number beyond LARGEST_NUMBER becomes that. Raises ValueError
-    for more values within each other than there is `room` for.
+    LONGEST_TEXT is cut, a whole number beyond LARGEST_NUMBER becomes that. With `typed` texts stay
+    as they are, like what is typed on a command line. Raises ValueError for more values within each
+    other than there is `room` for.
     """
     if not room:
         raise ValueError(_DEEP)
-    if isinstance(value, str):
+    if isinstance(value, str) and not typed:
         return escape_controls(value[:LONGEST_TEXT])[:LONGEST_TEXT]
     if isinstance(value, dict):
-        return {safe(key): safe(inner, room - 1) for key, inner in value.items()}
+        pairs = value.items()
+        return {safe(key, typed=typed): safe(inner, room - 1, typed=typed) for key, inner in pairs}
     if isinstance(value, list | tuple):
-        return type(value)(safe(inner, room - 1) for inner in value)
+        return type(value)(safe(inner, room - 1, typed=typed) for inner in value)
     if type(value) is int:
         return max(-LARGEST_NUMBER, min(value, LARGEST_NUMBER))
     return value
@@ -186,12 +196,17 @@ def from_json(data: bytes, kind: type[Value]) -> Value:
         raise ValueError(_DEEP) from error
 
 
-def from_toml(text: str) -> dict[str, Any]:
-    """The table that TOML holds, made safe. Raises ValueError, in one sentence."""
+def from_toml(text: str, *, typed: bool = False) -> dict[str, Any]:
+    """The table that TOML holds, made `safe`. Raises ValueError, in one sentence."""
     import tomllib
 
     try:
-        table: dict[str, Any] = safe(tomllib.loads(text))
+        table = tomllib.loads(text)
     except RecursionError as error:
         raise ValueError(_DEEP) from error
-    return table
+    except tomllib.TOMLDecodeError:
+        raise
+    except ValueError as error:
+        raise ValueError("one of its numbers has too many digits") from error
+    found: dict[str, Any] = safe(table, typed=typed)
+    return found

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 import bilprov.spec
-from bilprov.analyzer.files import read_bounded
+from bilprov.analyzer.files import read_text
 from bilprov.captures.text import printable
 from bilprov.spec.protocol import GrammarError, Protocol, grammar_hash, load
 
@@ -55,13 +55,14 @@ def load_protocol(grammar: str | None = None) -> Protocol:
     name = grammar or OWN
     file = Path(bilprov.spec.__path__[0]) / SHIPPED[name] if name in SHIPPED else Path(name)
     try:
-        source = read_bounded(file, _MOST, pipes=True).decode("utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        what = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
+        source = read_text(file, _MOST, pipes=True)
+    except OSError as error:
         named = f"name a FILE.py or one of {', '.join(SHIPPED)}"
         if not file.suffix and isinstance(error, FileNotFoundError):
             raise GrammarError(f"there is no grammar {printable(name)}: {named}") from error
-        raise GrammarError(f"the grammar {file} cannot be read: {what}; {named}") from error
+        raise GrammarError(
+            f"the grammar {file} cannot be read: {error.strerror}; {named}"
+        ) from error
     protocol = load(source, file.name)
     whole = with_imported(source)
     return protocol if whole == source else load(whole, file.name)

@@ -35,7 +35,7 @@ from bilprov.analyzer.cli.settings import (
     use_settings,
     user_file,
 )
-from bilprov.analyzer.cli.typed_input import bytes_or_pause
+from bilprov.analyzer.cli.typed_input import are_json_lines, bytes_or_pause, recorded_chunks
 from bilprov.analyzer.client.probes import ProbeError, parse_look
 from bilprov.analyzer.files import LARGEST_NUMBER, LONGEST_TEXT, from_json, from_toml
 from bilprov.analyzer.filters.fields import instant
@@ -45,6 +45,7 @@ from bilprov.analyzer.transport.line_settings import line_named
 from bilprov.analyzer.transport.machine import Machine
 from bilprov.analyzer.transport.server import parse_address
 from bilprov.captures.schemas import MS
+from bilprov.captures.wall_clock import LONGEST
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
@@ -362,6 +363,21 @@ def test_what_is_typed_is_bytes_a_pause_or_a_sentence(text: str) -> None:
             assert found if isinstance(found, bytes) else 0 <= found <= 60
 
 
+RECORDED = [{"t": 0.5, "dir": "host", "hex": "8105"}, {"t": 1, "direction": None, "hex": ""}]
+
+
+@given(mutants(lambda: RECORDED))
+@example(b'{"t":0,"hex":' + b"[" * 100_000)
+@example(b'{"t":1e290,"dir":"host","hex":"81"}')
+def test_recorded_lines_are_bytes_with_times_or_refused(data: bytes) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "line.jsonl"
+        file.write_bytes(data)
+        are_json_lines(file)
+        with suppress(click.ClickException):
+            assert all(abs(chunk.t) <= LONGEST for chunk in recorded_chunks(file, "host"))
+
+
 @given(TEXTS | st.sampled_from(["9" * 16_000 + "x", "5ms", "[::1]:50", "9600 8E1.5", "time,len"]))
 def test_what_stands_behind_an_option_is_a_value_or_a_sentence(text: str) -> None:
     protocol = load_protocol()
@@ -384,9 +400,16 @@ KEYS = st.sampled_from([*COMMON, "port", "probe", "wait", "yes", "expect", "colu
 @given(
     st.dictionaries(KEYS | TEXTS, JSON, max_size=3),
     st.sampled_from(["device.car", "sniff", "send", "export", "device"]),
+    st.just(""),
 )
-def test_settings_are_taken_by_each_command_or_refused(values: dict[str, Any], table: str) -> None:
+@example({}, "sniff", "baud = " + "[" * 60_000)
+@example({}, "sniff", "x" + ".x" * 10_000 + " = 1")
+@example({}, "sniff", "baud = 0x" + "f" * 5000)
+def test_settings_are_taken_by_each_command_or_refused(
+    values: dict[str, Any], table: str, line: str
+) -> None:
     lines = [f"{json.dumps(key)} = {json.dumps(value)}" for key, value in values.items()]
+    lines.append(line)
     with tempfile.TemporaryDirectory() as folder:
         environ = {"XDG_CONFIG_HOME": folder}
         user_file(environ).parent.mkdir()

@@ -63,11 +63,9 @@ def read_settings(commands: Iterable[str], environ: Mapping[str, str] = os.envir
     try:
         if not file.exists():
             return {}
-        import tomllib
+        from bilprov.analyzer.files import from_toml, read_text
 
-        from bilprov.analyzer.files import read_bounded
-
-        tables = dict(_tables(tomllib.loads(read_bounded(file, _MOST).decode())))
+        tables = dict(_tables(from_toml(read_text(file, _MOST), typed=True)))
     except (OSError, ValueError) as error:
         why = error.strerror if isinstance(error, OSError) else printable(error)
         raise SettingsError(f"the settings {printable(file)} cannot be read: {why}") from error

@@ -9,12 +9,12 @@ import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 import msgspec
 
-from bilprov.analyzer.files import from_json, read_bounded
+from bilprov.analyzer.files import from_json, read_text
 from bilprov.captures.parts import kept_parts
 from bilprov.captures.schemas import Chunk, Direction
 from bilprov.captures.text import near, printable
@@ -224,6 +224,7 @@ def bytes_from_hex(text: str) -> bytes:
 
 _MOST = 1 << 26  # bytes of a file
 _LINE = 1 << 16  # bytes of its first line that are looked at
+_LATEST = 4e9  # s before and after 0: the ns between any two times then fit into 64 bits
 
 
 class RecordedBytes(msgspec.Struct):
@@ -232,7 +233,7 @@ class RecordedBytes(msgspec.Struct):
     The JSON lines of the kit have the key `direction`, null where a line has no bytes.
     """
 
-    t: float
+    t: Annotated[float, msgspec.Meta(ge=-_LATEST, le=_LATEST)]
     hex: str
     dir: Direction | None = None
     direction: Direction | None = None
@@ -240,14 +241,13 @@ class RecordedBytes(msgspec.Struct):
 
 def are_json_lines(path: Path) -> bool:
     """Whether a file begins with a line that is a JSON object."""
-    import json
-
     with path.open("rb") as file:
         line = file.readline(_LINE)
     try:
-        return line.lstrip().startswith(b"{") and isinstance(json.loads(line), dict)
+        from_json(line, dict)
     except ValueError:
         return False
+    return True
 
 
 def recorded_chunks(path: Path, sender: Direction) -> list[Chunk]:
@@ -256,12 +256,11 @@ def recorded_chunks(path: Path, sender: Direction) -> list[Chunk]:
     Raises ClickException.
     """
     try:
-        text = read_bounded(path, _MOST).decode()
-    except (OSError, UnicodeDecodeError) as error:
-        why = error.strerror if isinstance(error, OSError) else "it is not text"
+        text = read_text(path, _MOST)
+    except OSError as error:
         raise click.ClickException(
-            f"{printable(str(path))} cannot be read: {why}; name a capture (.mcap), JSON lines or "
-            "hex text"
+            f"{printable(str(path))} cannot be read: {error.strerror}; name a capture (.mcap), "
+            "JSON lines or hex text"
         ) from error
     if not text.lstrip().startswith("{"):
         try:
@@ -296,7 +295,7 @@ def _chunk(path: Path, number: int, line: str) -> Chunk:
         if data and sender is None:
             raise ValueError("dir is missing, allowed are host and device")
         return Chunk(round(row.t * 1e9), sender or "host", data)
-    except (ValueError, OverflowError) as error:
+    except ValueError as error:
         raise click.ClickException(
             f"line {number} of {printable(str(path))} cannot be read: {error}; write "
             '{"t": 0.5, "dir": "host", "hex": "5556"}'

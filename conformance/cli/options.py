@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import click
 
 from bilprov.analyzer.cli.command import option
-from bilprov.analyzer.files import read_bounded
+from bilprov.analyzer.files import read_text
 from bilprov.analyzer.grammar_file import load_protocol
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def read_profile(protocol: Protocol, path: str | None, allow: tuple[str, ...]) -
     try:
         if not file.exists() and file.absolute().parent.is_dir():
             return ""
-        text = read_bounded(file, _PROFILE_BYTES).decode("utf-8")
+        text = read_text(file, _PROFILE_BYTES)
         profile_from(protocol, text, parse_allowed(protocol, allow))
     except (OSError, ValueError) as error:
         why = error.strerror or error if isinstance(error, OSError) else error

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from bilprov.analyzer.files import read_bounded, whole_file, write_whole
+from bilprov.analyzer.files import from_toml, read_bounded, read_text, whole_file, write_whole
 
 
 @pytest.mark.parametrize("interrupted", [False, True])
@@ -119,3 +119,19 @@ def test_what_comes_through_a_pipe_is_read_up_to_a_bound(tmp_path: Path, size: i
             with pytest.raises(OSError, match="larger than"):
                 read_bounded(pipe, 10, pipes=True)
             assert isinstance(writing.exception(60), BrokenPipeError)
+
+
+def test_what_is_not_utf_8_is_refused_in_the_kits_words(tmp_path: Path) -> None:
+    file = tmp_path / "a"
+    file.write_bytes(b"baud = \xff")
+    with pytest.raises(OSError, match="it is not UTF-8 text"):
+        read_text(file, 100)
+
+
+def test_a_number_of_too_many_digits_is_refused_in_the_kits_words() -> None:
+    with pytest.raises(ValueError, match="one of its numbers has too many digits"):
+        from_toml(f"a = {'9' * 5000}")
+
+
+def test_texts_that_stand_for_typed_ones_keep_each_character() -> None:
+    assert from_toml('a = ["x\\u200b\\n"]', typed=True) == {"a": ["x\u200b\n"]}
