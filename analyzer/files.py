@@ -78,7 +78,9 @@ def _target(file: Path) -> Path:
 
 def why_not_writable(file: Path) -> str:
     """Why a file cannot be written and what to do instead, "" if it can."""
-    if file.is_dir() or not file.absolute().parent.is_dir():
+    if file.is_dir():
+        return "it is a folder; name a file"
+    if not file.absolute().parent.is_dir():
         return "name a file in a folder that exists"
     if _is_planted(file):
         return f"{PLANTED}; name another file"

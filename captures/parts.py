@@ -11,12 +11,14 @@ import os
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
+from bilprov.captures.storage.records import MAGIC
 from bilprov.captures.text import printable
 
 if TYPE_CHECKING:
@@ -58,6 +60,16 @@ def part_paths(path: Path) -> dict[int, Path]:
 def kept_parts(path: Path) -> dict[int, Path]:
     """The parts of which a capture under this name consists; none where it is one file."""
     return {} if os.path.lexists(path) else part_paths(path)
+
+
+def is_capture(path: Path) -> bool:
+    """Whether a file is a capture, by its name or by how it begins; a pipe is none."""
+    with suppress(OSError):
+        if path.is_file() and path.suffix != ".mcap":
+            with path.open("rb") as file:
+                return file.read(len(MAGIC)) == MAGIC
+        return path.is_file()
+    return False
 
 
 def require_new(path: Path) -> None:

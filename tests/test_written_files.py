@@ -116,14 +116,29 @@ def test_each_file_that_cannot_be_written_is_named_and_the_others_are_whole(tmp_
     assert b"conforms" in result.stderr
 
 
-def test_a_grammar_that_was_changed_is_not_overwritten(tmp_path: Path) -> None:
-    mine = tmp_path / "horn.py"
+@pytest.mark.parametrize("kind", ["grammar", "c", "stub", "wireshark"])
+def test_what_was_emitted_and_changed_is_not_overwritten(kind: str, tmp_path: Path) -> None:
+    mine = tmp_path / "mine"
     mine.write_bytes(b"mine")
 
-    refused(command("spec", "emit", "grammar", "-o", str(mine)), mine)
+    refused(command("spec", "emit", kind, "-o", str(mine)), mine)
     assert mine.read_bytes() == b"mine"
-    assert command("spec", "emit", "grammar", "-o", str(mine), "--force").returncode == 0
-    assert b"INSTRUCTIONS" in mine.read_bytes()
+    assert command("spec", "emit", kind, "-o", str(mine), "--force").returncode == 0
+    assert b"robot" in mine.read_bytes()
+
+
+@pytest.mark.sample(6)
+@pytest.mark.parametrize("name", REPORTS | CAPTURES | {"conform --record": ""})
+@pytest.mark.parametrize("named", ["drive.mcap", "drive"])
+def test_a_capture_is_not_overwritten_by_anything(
+    name: str, named: str, runs: Path, tmp_path: Path
+) -> None:
+    file, whole = tmp_path / named, (runs / "run.mcap").read_bytes()
+    file.write_bytes(whole[100:] if named.endswith(".mcap") else whole)  # damaged, and renamed
+    before = file.read_bytes()
+
+    refused(command(*words(name, runs, file)), file)
+    assert file.read_bytes() == before
 
 
 # -- links -----------------------------------------------------------------------------------------

@@ -13,7 +13,15 @@ import msgspec
 
 from bilprov.analyzer.cli import command_files
 from bilprov.analyzer.cli import options as shared
-from bilprov.analyzer.cli.command import argument, command, flag, group, option, protocol_in_use
+from bilprov.analyzer.cli.command import (
+    PATH,
+    argument,
+    command,
+    flag,
+    group,
+    option,
+    protocol_in_use,
+)
 from bilprov.captures.text import printable, quantity
 
 if TYPE_CHECKING:
@@ -51,7 +59,7 @@ def info(options: InfoOptions) -> None:
 class CheckOptions(msgspec.Struct, frozen=True):
     """The options of `capture check`."""
 
-    path: Path = argument(metavar="FILE.mcap", type=click.Path(path_type=Path))
+    path: Path = argument(metavar="FILE.mcap", type=PATH)
     style: str = shared.text_format_option()
 
 
@@ -73,8 +81,8 @@ def check(options: CheckOptions) -> int:
 class CutOptions(msgspec.Struct, frozen=True):
     """The options of `capture cut`."""
 
-    path: Path = argument(metavar="IN.mcap", type=click.Path(path_type=Path))
-    new: Path = argument(metavar="OUT.mcap", type=click.Path(path_type=Path))
+    path: Path = argument(metavar="IN.mcap", type=PATH)
+    new: Path = argument(metavar="OUT.mcap", type=PATH)
     span: shared.WindowOptions = group(shared.WindowOptions)
     expression: str | None = shared.filter_option()
     force: bool = command_files.force_option()
@@ -125,8 +133,8 @@ def cut(options: CutOptions) -> None:
 class CopyOptions(msgspec.Struct, frozen=True):
     """The options of `capture repair` and `capture decode`."""
 
-    path: Path = argument(metavar="IN.mcap", type=click.Path(path_type=Path))
-    new: Path = argument(metavar="OUT.mcap", type=click.Path(path_type=Path))
+    path: Path = argument(metavar="IN.mcap", type=PATH)
+    new: Path = argument(metavar="OUT.mcap", type=PATH)
     force: bool = command_files.force_option()
 
 
@@ -151,13 +159,11 @@ def repair(options: CopyOptions) -> None:
 class JoinOptions(msgspec.Struct, frozen=True):
     """The options of `capture join`."""
 
-    paths: tuple[Path, ...] = argument(
-        metavar="FILE.mcap...", nargs=-1, required=True, type=click.Path(path_type=Path)
-    )
+    paths: tuple[Path, ...] = argument(metavar="FILE.mcap...", nargs=-1, required=True, type=PATH)
     new: Path = shared.output_option(
         metavar="OUT.mcap",
         required=True,
-        type=click.Path(path_type=Path),
+        type=PATH,
         help="The new capture.",
     )
     force: bool = command_files.force_option()

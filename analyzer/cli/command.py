@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
@@ -29,6 +30,9 @@ Options = TypeVar("Options")
 
 TYPED_GRAMMAR = "bilprov.typed-grammar"
 """The key in the `meta` of click's contexts: whether the grammar is named on the command line."""
+
+PATH: click.Path = click.Path(readable=False, path_type=Path)
+"""The type of a file's name; whether it can be read, what reads it reports."""
 
 _FILE = re.compile(r"\[?(FILE|IN|OUT|REPORT|A)\b")  # how the metavar of a file begins
 

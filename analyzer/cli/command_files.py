@@ -18,7 +18,7 @@ import click
 from bilprov.analyzer.cli.command import flag, option, protocol_in_use, typed_protocol
 from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.files import real_path, whole_file, why_not_writable
-from bilprov.captures.parts import kept_parts
+from bilprov.captures.parts import is_capture, kept_parts
 from bilprov.captures.text import escape_json
 from bilprov.spec.errors import UserError
 
@@ -146,15 +146,16 @@ def require_writable(
     outputs: Iterable[tuple[str, str | None]],
     inputs: Iterable[str] = (),
     *,
-    force: bool = True,
+    force: bool | None = None,
     regular: bool = False,
 ) -> None:
     """Raise UsageError, in one sentence, for an output that cannot be written.
 
     `outputs` are the option and the path of each, None where it is not given; `inputs` files, or
     recordings in parts, that must not be overwritten; nor may the grammar in use.
-    Without `force` none may exist; a pipe or a device is not overwritten, and with `regular` it is
-    refused.
+    `force` is the command's option: without it none may exist; None is for commands that have none
+    and renew what exists, but never a capture. A pipe or a device is not overwritten, and with
+    `regular` it is refused.
     """
     context = click.get_current_context(silent=True)
     inputs = [*inputs, *([context.obj] if context and context.obj else [])]
@@ -188,7 +189,9 @@ def require_writable(
             )
         elif regular and file.exists() and not file.is_file():
             wrong = "is not a regular file: name another one"
-        elif not force and file.is_file():
+        elif force is None and is_capture(file):
+            wrong = "is a capture, which is not overwritten: name another file"
+        elif force is False and file.is_file():
             wrong = "exists: name another file, or give --force to overwrite it"
         else:
             taken[real_path(file)] = name

@@ -110,15 +110,12 @@ def _answers(records: Iterable[Record]) -> list[Record]:
 def _kind(path: Path) -> Literal["bytes", "captures", "JSON lines"]:
     """What a file has in it, by how it begins."""
     from bilprov.analyzer.cli.typed_input import are_json_lines
-    from bilprov.captures.parts import kept_parts
-    from bilprov.captures.storage.records import MAGIC
+    from bilprov.captures.parts import is_capture, kept_parts
 
-    if not path.is_file():  # a pipe's bytes can be read only once
-        return "captures" if kept_parts(path) else "bytes"
-    with _readable(path), path.open("rb") as file:
-        if path.suffix == ".mcap" or file.read(len(MAGIC)) == MAGIC:
-            return "captures"
-        return "JSON lines" if are_json_lines(path) else "bytes"
+    if is_capture(path) or kept_parts(path):
+        return "captures"
+    with _readable(path):  # a pipe's bytes can be read only once
+        return "JSON lines" if path.is_file() and are_json_lines(path) else "bytes"
 
 
 def _of_bytes(

@@ -17,7 +17,7 @@ from bilprov.analyzer.decode.decoded_share import DecodedShare, decoded_share
 from bilprov.analyzer.grammar_file import SHIPPED, dissector_program, load_protocol, not_carried
 from bilprov.analyzer.grammar_name import GrammarName
 from bilprov.analyzer.output.console import facts, heading, parts_of, show_as, table
-from bilprov.captures.parts import kept_parts
+from bilprov.captures.parts import is_capture, kept_parts
 from bilprov.captures.schemas import Chunk, Direction
 from bilprov.captures.text import quantity
 
@@ -45,10 +45,11 @@ class EmitOption(msgspec.Struct, frozen=True):
     output: str = shared.output_option(
         metavar="FILE", default="-", help="The file to write; standard output if left out."
     )
+    force: bool = force_option()
 
     def write(self, text: str) -> None:
         """Write a text there. Raises UsageError, or UserError, if it cannot be written."""
-        require_writable([("-o", self.output)])
+        require_writable([("-o", self.output)], force=self.force)
         write_output(self.output, text.encode())
 
 
@@ -56,7 +57,6 @@ class GrammarOptions(EmitOption, frozen=True):
     """Which grammar is written, and where."""
 
     name: str | None = argument(metavar="[NAME]", required=False, type=click.Choice(list(SHIPPED)))
-    force: bool = force_option()
 
 
 @command(FormatOption)
@@ -193,7 +193,6 @@ def grammar(options: GrammarOptions) -> None:
     NAME is one of bilprov spec grammars; without it, the grammar in use is written. The changed
     text is named with --grammar.
     """
-    require_writable([("-o", options.output)], force=options.force)
     protocol = load_protocol(options.name) if options.name else protocol_in_use()
     options.write(protocol.source)
 
@@ -241,7 +240,7 @@ def _share(protocol: Protocol, options: CheckOptions, *, half_duplex: bool) -> D
     source = file_or_bytes(options.words)
     if isinstance(source, bytes):
         chunks = [Chunk(0, options.sender, source)]
-    elif source.suffix == ".mcap" or kept_parts(source):
+    elif is_capture(source) or kept_parts(source):
         from bilprov.analyzer.api import read_capture
         from bilprov.captures.reader import open_capture
 

@@ -191,6 +191,8 @@ def file_or_bytes(words: Sequence[str]) -> Path | bytes:
     try:
         return bytes_from_hex(" ".join(words))
     except ValueError as error:
+        if len(words) == 1 and os.path.lexists(path):
+            return path  # a folder, or a link to nothing: what reads it reports that
         files = "there is no such file, and " if len(words) == 1 else ""
         raise click.ClickException(f"{files}{error}") from None
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import msgspec
 
-from bilprov.analyzer.cli.command import command, family_protocol, flag, group, option
+from bilprov.analyzer.cli.command import command, family_protocol, flag, group, option, refuse
 from bilprov.analyzer.cli.options import Finite, milliseconds, note
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.client.probes import ASK
@@ -31,7 +31,7 @@ from bilprov.conformance.cases.levels import COMPLETE, LEVELS, STANDARD, AnyCase
 from bilprov.conformance.cases.proof import announcement
 from bilprov.conformance.cli.last_run import LastRun, Run, last_run, ordered
 from bilprov.conformance.cli.options import read_profile, seed_option
-from bilprov.conformance.cli.outputs import Output, Outputs, outputs_option, write_each
+from bilprov.conformance.cli.outputs import FORMATS, Output, Outputs, outputs_option, write_each
 from bilprov.conformance.cli.robot import RobotOptions
 from bilprov.conformance.dut.target import Target, TargetName
 from bilprov.conformance.oracle.profile import parse_allowed
@@ -172,6 +172,15 @@ class ConformOptions(msgspec.Struct, frozen=True):
         return Options(**run, profile=profile)
 
 
+_OF_A_RUN = (
+    *("fail_fast", "reconnect", "watch", "watch_file"),
+    *TimeOptions.__struct_fields__,
+    *(*FORMATS, "record", "verbose"),
+    *("expect_failures", "update_expected", "strict"),
+)
+"""The parameters that have no use where cases are only listed."""
+
+
 @command(ConformOptions, only_with={"expect_failures": ("update_expected",)})
 def conform(options: ConformOptions) -> int:
     """Examples:
@@ -197,6 +206,7 @@ def conform(options: ConformOptions) -> int:
     last = last_run(protocol, robot.target, robot.fault, robot.variant)
     plan = _planned(protocol, options, last)
     if options.cases.listing:
+        refuse(_OF_A_RUN, "is for a run: leave out --list")
         note(plan.order)
         for case in _asked(protocol, plan.suite, plan.cases):
             click.echo(f"{case.id:28} {case.clause:20} {case.requirement}")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
-from bilprov.analyzer.cli.command import command, flag, option, protocol_in_use
+from bilprov.analyzer.cli.command import PATH, command, flag, option, protocol_in_use
 from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.simulated.device import SimulatedDevice
 from bilprov.analyzer.transport.line_settings import line_settings
@@ -38,7 +38,7 @@ class SimulateOptions(msgspec.Struct, frozen=True):
     """The options of `simulate`."""
 
     firmware: Path | None = option(
-        type=click.Path(path_type=Path),
+        type=PATH,
         metavar="FILE.elf|.hex",
         help="Run this firmware for an Arduino Uno under simavr instead.",
     )

@@ -414,7 +414,7 @@ def target_named(text: str) -> TargetName:
     kind, _, file = text.removeprefix(BOARD).partition(":")
     if kind != SIMAVR or not file:
         raise ValueError(f"{text!r} names no board: write {BOARD}{SIMAVR}:FIRMWARE.elf")
-    if not Path(file).is_file():
+    if not Path(file).exists():
         raise ValueError(f"there is no firmware {file}; build it with: make -C firmware")
     return TargetName(text, kind, Path(file))
 

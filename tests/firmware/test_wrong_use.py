@@ -34,6 +34,7 @@ ROWS: list[tuple[str, Content, str]] = [
     ("conform emulator:foo:x.elf", b"", "names no board"),
     ("conform emulator:simavr", b"", "names no board"),
     ("conform emulator:simavr:none.elf", b"", "there is no firmware none.elf"),
+    ("conform emulator:simavr:.", b"", ". cannot be read (Is a directory)"),
     ("conform emulator:qemu:{file}", TEXT, "write emulator:simavr:FIRMWARE.elf"),
     (f"{CONFORM} --probe none", TEXT, "brings its own probe"),
     (f"{CONFORM} --fault dead", TEXT, "--fault is for the target sim"),

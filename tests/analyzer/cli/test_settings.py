@@ -105,6 +105,12 @@ def test_every_file_and_port_of_every_command_completes() -> None:
     assert bare == []
 
 
+def test_that_a_file_cannot_be_read_is_reported_by_what_reads_it_and_not_by_click() -> None:
+    params = [(name, param) for name in COMMANDS for param in command_named(name)[0].params]
+    paths = [(f"{name} {param.name}", param.type) for name, param in params]
+    assert [at for at, kind in paths if isinstance(kind, click.Path) and kind.readable] == []
+
+
 @pytest.mark.waits
 @pytest.mark.parametrize("line", ["bilprov simulate --fault ec", "bilprov con"])
 def test_completion_loads_nothing_heavy_that_it_does_not_use(line: str) -> None:
