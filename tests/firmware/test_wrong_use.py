@@ -52,7 +52,7 @@ ROWS: list[tuple[str, Content, str]] = [
     (f"{SERVE} --start boot", HEX, "write it like 0x7c00 or 31744"),
     (f"{SERVE} --start 0x7f00", HEX, "no instruction at 0x7f00"),
     (f"--grammar stk500v1 {SERVE} --probe-listen 127.0.0.1:0", HEX, "leave out --probe-listen"),
-    (f"{SERVE} --fault always-0", bytes, "--fault and --variant do not apply"),
+    (f"{SERVE} --fault always-0", bytes, "--fault is for the simulated robot car and its family"),
     (f"{SERVE} {{file}}", bytes, "got unexpected extra argument"),
     (f"{SERVE} --listen nowhere", bytes, "the address is 'nowhere', allowed is HOST:PORT"),
     (f"{SERVE} --pty --probe-listen {{taken}}", bytes, "is in use by another program"),
