@@ -39,6 +39,7 @@ from bilprov.spec.codec import spaced
 
 _SLICE = 0.03  # s of filtering after which keys and all else are handled
 _FIGURES_EVERY = 0.5  # s
+_QUIET = 10  # s without anything new, after which a file that is followed is called quiet
 _DRAWING_SHARE = 0.05  # of the time, at most, that drawing what comes may take
 _LONGEST_LAG = 1.0  # s that rows wait to be drawn, however long that takes
 _SIDE_FROM = 110  # columns from which on the predicted state is drawn
@@ -86,6 +87,8 @@ class Browser(App[str | None]):
         self.told = told
         self.interrupted = interrupted
         self.follows = feed.live
+        self._sought: Callable[[], int] | None = None  # a place to go to once all rows are read
+        self._leaving = False  # whether the prompt asks where to keep what would be lost
         self.filter_text = ""
         self.said = ""
         self._recording = feed.recording
@@ -145,9 +148,11 @@ class Browser(App[str | None]):
         if self.feed.closes or self.interrupted():
             self.exit(None)
             return
-        view = self.frames.view
+        view, sought = self.frames.view, self._sought
         if not self._working("filter") and not view.catch_up(_SLICE):
             self._look(self.filter_text, view)
+        if sought and self.feed.ended:
+            self._go_to(sought)
         self._play()
         if self._now() != self._shown and self._may_draw():
             self.show_rows()
@@ -249,6 +254,9 @@ class Browser(App[str | None]):
         """Write the line above the panes, and the one below them."""
         feed, width = self.feed, self.size.width
         doing = "following" if self.follows else ""
+        quiet = time.monotonic() - feed.grew if feed.grew else 0
+        if doing and quiet >= _QUIET:  # whether a killed writer or a quiet line, nobody can tell
+            doing += f", quiet for {quiet:.0f} s"
         if self._playing:
             doing = f"playing {self._playing() / 1e9:.1f} s"
         head = head_line(self.told, feed, self.frames, doing, self.filter_text, width)
@@ -297,7 +305,8 @@ class Browser(App[str | None]):
         if key.key.isdigit() and (self._typed or key.key != "0"):
             self._typed += key.key
             return True
-        self.frames.repeat, self._typed = int(self._typed or 0) or None, ""
+        self.frames.repeat = self.fields.repeat = int(self._typed or 0) or None
+        self._typed, self._sought = "", None
         if await self._check_bindings(key.key):
             return True
         return key.key in ALIASES and await self._check_bindings(ALIASES[key.key])
@@ -315,7 +324,7 @@ class Browser(App[str | None]):
 
     def _chosen(self) -> None:
         """Show the row that was chosen by hand; a capture is played from there on."""
-        self.said = ""
+        self.said, self._sought = "", None
         self.follows = self.follows and self.frames.cursor >= self.frames.count - 1
         self._playing = self._playing and self._pace()
         self._show_row()
@@ -339,6 +348,7 @@ class Browser(App[str | None]):
         self.prompt.ask(question, text, replaced=replaced)
 
     def _left_prompt(self) -> None:
+        self._leaving = False
         self.status.display = True
         self.screen.set_focus(self.frames)
 
@@ -367,16 +377,41 @@ class Browser(App[str | None]):
             if row is None or view.position(row) >= self.frames.count:
                 self._say(f"no fault comes {'after' if step > 0 else 'before'} this")
                 return
-            self._go_to(row)
+            self._show_at(row)
 
     def action_go(self) -> None:
         """Ask for a row or a time, and go there."""
         utc = self.frames.time_style is TimeStyle.UTC
         start, row_at = self.told.start_wall, self._recording.row_at
-        row = partial(row_of, start_wall=start, utc=utc, row_at=row_at)
-        self._ask(Question("go to :", f"{REFUSAL}; Esc goes back", row, self._go_to))
 
-    def _go_to(self, row: int) -> None:
+        def read(text: str) -> Callable[[], int]:
+            place = partial(row_of, text, start, utc, row_at)
+            place()  # raises ValueError
+            return place
+
+        self._ask(Question("go to :", f"{REFUSAL}; Esc goes back", read, self._go_to))
+
+    def action_go_to_number(self, number: int) -> None:
+        """Go to the row of this number, or of the one that was typed; 0 stands for the last."""
+        number = self.frames.repeat or number
+        follows = self.follows and not number
+        self._go_to(partial(int, number - 1) if number else self._last)
+        self.follows = follows
+
+    def _last(self) -> int:
+        return max(0, self._recording.rows - 1)
+
+    def _go_to(self, place: Callable[[], int]) -> None:
+        """Go to the row that a place is; while rows are read, once more when all of them are."""
+        reading = not (self.feed.live or self.feed.ended)
+        row = place()
+        self._show_at(row)
+        if reading:
+            self._sought = place
+        elif row > self._last():
+            self._say("the recording ends before that: this is its last row")
+
+    def _show_at(self, row: int) -> None:
         self.frames.choose(self.frames.view.position(row))
         self.follows = False
         self._chosen()
@@ -467,11 +502,14 @@ class Browser(App[str | None]):
         self.screen.set_focus(self.frames)
 
     def action_leave(self) -> None:
-        """Quit; ask before, where the recording would be lost."""
+        """Quit; ask once before, where the recording would be lost."""
         rows = self._recording.rows
-        if not (self.feed.keeps and rows):
+        if self._leaving or not (self.feed.keeps and rows):
             self.exit(None)
             return
+        while self.screen.is_modal:
+            self.pop_screen()
+        self._leaving = True
         label = f"Save the capture of {quantity(rows, 'row')} as"
         hint = "Enter saves it and leaves, Ctrl-C discards it, Esc goes back"
         self._ask(Question(label, hint, new_file, self.exit), new_name(), replaced=True)

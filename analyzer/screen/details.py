@@ -19,7 +19,7 @@ from textual.widgets import Tree
 from textual.widgets.tree import TreeNode
 
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record, serious_faults
-from bilprov.analyzer.screen.keys import FOLDED, ORDINARY, UNFOLDED, Look, look_of
+from bilprov.analyzer.screen.keys import FOLDED, ORDINARY, REFUSAL, UNFOLDED, Look, look_of
 from bilprov.captures.text import escape_controls
 from bilprov.spec.codec import spaced
 from bilprov.spec.explain import BitGroup, explain, explain_reply
@@ -83,8 +83,13 @@ def _device(
     protocol: Protocol, record: DeviceRecord, look: Look, state: Iterable[Detail]
 ) -> Iterator[Detail]:
     response = explain_reply(protocol, record.data, record.answered if record.reply else None)
-    yield from _bits(response.groups, record.data, look)
-    yield Detail("means", response.meaning)
+    groups = response.groups
+    if look is REFUSAL and response.response:
+        name = response.response.name
+        groups = tuple(one._replace(fault=one.fault or one.meaning == name) for one in groups)
+    yield from _bits(groups, record.data, look)
+    if all(fault.reason != response.meaning for fault in serious_faults(record)):
+        yield Detail("means", response.meaning)
     yield from state
     if record.answered is not None:
         answered, odd = record.answered, ORDINARY if record.agrees else look
@@ -123,12 +128,17 @@ def bit_picture(group: BitGroup) -> str:
 
 
 class FieldTree(Tree[Detail]):
-    """The details of one record; what was folded stays so in the next one."""
+    """The details of one record; what was folded stays so in the next one.
+
+    `repeat` is the number typed before a key, None for none.
+    """
 
     virtual_size = Reactive(Size(0, 0))
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("left", "fold(True)", show=False),
         Binding("right", "fold(False)", show=False),
+        Binding("up", "move(-1)", show=False),
+        Binding("down", "move(1)", show=False),
     ]
 
     def __init__(self, protocol: Protocol) -> None:
@@ -136,6 +146,7 @@ class FieldTree(Tree[Detail]):
         self.ICON_NODE, self.ICON_NODE_EXPANDED = FOLDED, UNFOLDED
         self.show_root = self.show_guides = False
         self.guide_depth = 2
+        self.repeat: int | None = None
         self._protocol = protocol
         self._folded: set[str] = set()
         self._shown: tuple[Detail, ...] = ()
@@ -168,6 +179,11 @@ class FieldTree(Tree[Detail]):
     def on_resize(self) -> None:
         """Wrap long lines anew."""
         self._fill(self._shown)
+
+    def action_move(self, lines: int) -> None:
+        """Move the choice by some lines."""
+        self.cursor_line += lines * (self.repeat or 1)
+        self.scroll_to_line(self.cursor_line, animate=False)
 
     def action_fold(self, fold: bool) -> None:
         """Fold the lines below the chosen one, or those that it is among; or unfold them."""

@@ -52,7 +52,8 @@ class Feed:
     it: `progress` is the share that is read (0 to 1), `rates` those of a live line,
     `captured` what was recorded, `said` why it ended, and `notice` something else that the user
     should know. `keeps` is true where the recording can be saved when the screen is left, and
-    `let_go` where its oldest rows had to go.
+    `let_go` where its oldest rows had to go. `grew` is when a file that is followed had something
+    new (s, as `time.monotonic`), None where none is followed.
     """
 
     recording: Recording
@@ -67,6 +68,7 @@ class Feed:
     said: str = ""
     notice: str = ""
     let_go: bool = False
+    grew: float | None = None
     stopped: Event = field(default_factory=Event)
     _working: Future[object] | None = None
 
@@ -141,7 +143,7 @@ def capture_feed(
             time.sleep(0)  # whoever waits for the interpreter gets it now
         feed.progress = None
         if feed.live:
-            for batch in _followed(opened, feed.stopped):
+            for batch in _followed(opened, feed):
                 rows.show(batch)
         for batch in opened.decoder.finish():
             rows.show(batch)
@@ -162,15 +164,15 @@ def capture_feed(
     return feed
 
 
-def _followed(opened: decoding.Opened, stopped: Event) -> Iterator[Batch]:
-    """Decode what is added to a capture, until its writer finishes it or it is `stopped`."""
-    capture = opened.capture
-    while capture.unfinished and not stopped.wait(DRAW_EVERY):
+def _followed(opened: decoding.Opened, feed: Feed) -> Iterator[Batch]:
+    """Decode what is added to a capture, until its writer finishes it or the feed is stopped."""
+    capture, feed.grew = opened.capture, time.monotonic()
+    while capture.unfinished and not feed.stopped.wait(DRAW_EVERY):
         more = appended(capture)
         if more is None:
             yield from opened.decoder.advance(time.time_ns() - capture.start - _LAG)
             continue
-        capture = more
+        capture, feed.grew = more, time.monotonic()
         for events in capture.batches():
             yield from opened.decoder.decode(events)
 

@@ -62,8 +62,8 @@ class FrameList(ScrollView, can_focus=True):
         Binding("pagedown", "page(1.0)", show=False),
         Binding("ctrl+u", "page(-0.5)", show=False),
         Binding("ctrl+d", "page(0.5)", show=False),
-        Binding("home", "go_to_number(1)", show=False),
-        Binding("end", "go_to_number(0)", show=False),
+        Binding("home", "app.go_to_number(1)", show=False),
+        Binding("end", "app.go_to_number(0)", show=False),
     ]
 
     def __init__(
@@ -157,11 +157,6 @@ class FrameList(ScrollView, can_focus=True):
         position = self.cursor + step
         self.scroll_to(y=self.scroll_offset.y + step, animate=False, force=True)
         self._choose_by_hand(position)
-
-    def action_go_to_number(self, number: int) -> None:
-        """Go to the row of this number, or of the one that was typed; 0 stands for the last."""
-        number = self.repeat or number
-        self._choose_by_hand(self.view.position(number - 1) if number else self.count - 1)
 
     def _choose_by_hand(self, position: int) -> None:
         self.choose(position)

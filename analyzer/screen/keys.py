@@ -81,7 +81,7 @@ BINDINGS = [
     _key("y", "copy", "y", "copy the frame as a `bilprov send` line", "copy"),
     _key("question_mark,f1", "push_screen('help')", "?", "this help", "help"),
     _key("q", "leave", "q", "leave", "quit"),
-    Binding("ctrl+c,ctrl+q", "quit", show=False, priority=True),
+    Binding("ctrl+c,ctrl+q", "leave", show=False, priority=True),
     Binding("ctrl+z", "suspend_process", show=False, priority=True),
     Binding("escape", "go_back", show=False),
     Binding("enter,right", "fields", show=False),
@@ -95,6 +95,7 @@ MOVES = {
     "Enter, Tab": "go to the fields of a frame; the next pane",
     "h l": "in the fields: fold, unfold",
     "^Z": "suspend; fg goes on",
+    "^C": "leave; the second time without saving",
     "Esc": "go back; stop a filter or an export that takes long",
 }
 """Keys of the panes, for the help."""

@@ -15,7 +15,7 @@ from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import State, VariableSpec
 
 _SIDES = {"host": HOST_FAULT, "device": DEVICE_FAULT, "": LINE_FAULT}
-_LATE = 9  # columns of a latency, with a space before it
+_LATE = 10  # columns of a latency, with a space before it
 _KINDS = 4  # kinds of faults of each side that are named
 
 
@@ -31,7 +31,8 @@ def figures(totals: Totals, live: Rates | None, byte_time: int, width: int) -> l
     counts = totals.rates.series("frames")
     lines = [Text(spark(counts, width))] if len(counts) >= FEWEST else []
     words = [quantity(totals.frames, "frame"), quantity(totals.answers, "answer")]
-    words.append(f"{rates.frames:,.0f} frames/s, {load:.0%} full")
+    per_second = quantity(round(rates.frames), "frame")
+    words.append(f"{per_second}/s, {load:.0%} full")
     if spread := totals.latencies.spread():
         words.append(f"latency {_ms(spread.median)} ms")
         words.append(f"p95 {_ms(spread.p95)}, max {_ms(spread.max)} ms")

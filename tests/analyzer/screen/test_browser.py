@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
@@ -110,6 +111,7 @@ MOVES_TO = {
     "nnN": 19,
     ":90 enter": 89,
     "3j tab j escape j": 4,
+    "999G": 120,
 }
 
 
@@ -122,6 +124,34 @@ def test_keys_move_through_the_rows(screen: Browser) -> None:
             top = screen.frames.top
             assert top <= screen.frames.cursor < top + screen.frames.room
             await pilot.press("j")
+
+    operated(screen, steps)
+
+
+@pytest.mark.parametrize(
+    ("keys", "row"), [("G", 240), ("200G", 199), (": 0.7s enter", 141), ("G k", 119)]
+)
+def test_a_place_that_is_not_read_yet_is_gone_to_once_it_is(
+    protocol: Protocol, keys: str, row: int
+) -> None:
+    first, later = decoded(protocol, drive()), decoded(protocol, drive(120)[121:])
+    screen = browser(protocol, first)
+
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        reading: Future[object] = Future()
+        screen.feed._working = reading
+        await pilot.press(*keys_of(keys))
+        assert screen.frames.row == (119 if keys == "G k" else 120)
+        assert screen.said == ""
+        for batch in later:
+            screen.feed.recording.add(batch)
+        screen.tick()
+        reading.set_result(None)
+        screen.tick()
+        assert screen.frames.row == row
+        await pilot.press("g")
+        screen.tick()
+        assert screen.frames.row == 0
 
     operated(screen, steps)
 
@@ -163,6 +193,9 @@ ANSWERED = {
     "G n": "no fault comes after",
     "2j y": "copied: bilprov send PORT '11 00'",
     "y": "no frame to copy",
+    ":99999 enter": "the recording ends before that: this is its last row",
+    "999G": "the recording ends before that",
+    ":3600s enter": "the recording ends before that",
     ":soon enter": "give a row like 120",
     "/speeed<9 enter": "is not a name here: did you mean speed?",
     "/agr": "agrees: whether the answer is the expected one",
@@ -442,6 +475,19 @@ def test_f_follows_what_comes_until_the_choice_is_moved(protocol: Protocol) -> N
     assert rows == [119, 126, 126, 132]
 
 
+def test_a_followed_file_that_does_not_grow_any_more_is_called_quiet(protocol: Protocol) -> None:
+    screen = browser(protocol, decoded(protocol, drive()), live=True)
+
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        for since, words in ((5, "  following  121 rows"), (42, "following, quiet for 42 s")):
+            screen.feed.grew = time.monotonic() - since
+            screen.tick()
+            await pilot.pause()
+            assert words in text_of(screen)[0]
+
+    operated(screen, steps, (60, 15))
+
+
 def test_the_rows_stay_where_they_are_while_the_oldest_are_let_go(protocol: Protocol) -> None:
     screen = browser(protocol, decoded(protocol, drive(2100)))
 
@@ -507,7 +553,7 @@ def test_the_fields_light_their_bytes_and_stay_folded(screen: Browser) -> None:
         shown = text_of(screen)
         assert any("▸ answer" in line for line in shown)
         assert not any("sets" in line for line in shown)
-        await pilot.press("enter", *"jjj", "l")
+        await pilot.press("enter", *"3j", "l")
         assert any("sets" in line for line in text_of(screen))
 
     operated(screen, steps)
@@ -557,9 +603,15 @@ def test_the_screen_is_left_by(screen: Browser, key: str) -> None:
     assert screen.return_code == 0
 
 
+@pytest.mark.parametrize("before", ["q", "ctrl+c", "slash ctrl+c", "question_mark ctrl+c"])
 @pytest.mark.parametrize(("last", "kept"), [("enter", "kept.mcap"), ("ctrl+c", None)])
 def test_a_session_that_would_be_lost_is_offered_for_saving(
-    protocol: Protocol, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, last: str, kept: str
+    protocol: Protocol,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    before: str,
+    last: str,
+    kept: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "there.mcap").write_text("precious")
@@ -567,9 +619,9 @@ def test_a_session_that_would_be_lost_is_offered_for_saving(
     screen.feed.keeps = True
 
     async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
-        await pilot.press("q", "escape")
+        await pilot.press(*before.split(), "escape")
         assert screen.frames.has_focus
-        await pilot.press("q")
+        await pilot.press(*before.split())
         await type_ahead(screen, pilot, *"there", ".", *"mcap", "enter")
         assert "never overwritten" in text_of(screen)[-1]
         screen.prompt.line.value = "kept.mcap"
@@ -615,7 +667,7 @@ def test_nothing_overlaps_at_any_size(protocol: Protocol, size: tuple[int, int])
             if (widget := screen.query_one(f"#{name}")).region.area
         }
         assert ("fields" in panes, "car" in panes) == (size[1] >= 15, size[0] >= 110)
-        assert any("state " in line for line in text_of(screen)) == (15 <= size[1] < 40)
+        assert any("state " in line for line in text_of(screen)) == (20 <= size[1] < 40)
         regions = list(panes.values())
         for at, region in enumerate(regions):
             assert screen.screen.region.contains_region(region)

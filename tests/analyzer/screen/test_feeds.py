@@ -18,9 +18,10 @@ from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.output.row_columns import RowStyle
 from bilprov.analyzer.replay.capture_decoding import Opened, capture_decoder, opened_at
 from bilprov.analyzer.replay.recorder import PARTS, Spool, session_metadata
-from bilprov.analyzer.screen.feeds import AllShown, Feed, ScreenOutput, capture_feed
+from bilprov.analyzer.screen.feeds import AllShown, Feed, Rates, ScreenOutput, capture_feed
 from bilprov.analyzer.screen.panes import figures, picture, status_line
 from bilprov.analyzer.screen.recording import Recording, View, export
+from bilprov.analyzer.totals.totals import Totals
 from bilprov.captures.reader import open_capture, open_quickly
 from bilprov.captures.schemas import Chunk
 from bilprov.captures.writer import CaptureWriter
@@ -168,9 +169,12 @@ def test_a_capture_that_is_still_written_is_followed_to_its_end(
         assert feed.live
         assert feed.notice.startswith("growing.mcap was recorded with another grammar (van)")
         feed.start()
+        grew: list[Any] = []
         for count in (10, 50, 3000):
             written(feed.recording.rows // 2, count)
             until(lambda count=count: feed.recording.rows >= 2 * count)
+            grew.append(feed.grew)
+    assert grew[0] < grew[1] < grew[2]
     feed.join()  # the file is finished: nothing more can come
     capture = open_capture(path)
     whole = capture_feed(Opened(capture, capture_decoder(capture, protocol)), protocol)
@@ -216,14 +220,29 @@ def test_figures_tell_the_load_and_whose_the_faults_are(protocol: Protocol) -> N
         "latency 0.5 ms",
         "p95 0.5, max 0.5 ms",
         "",
-        "Speed        3,001   0.5 ms",
+        "Speed       3,001    0.5 ms",
     ]
     for frame in (b"\x90", b"\x91\x02"):
         (batch,) = told(StreamDecoder(protocol), [Chunk(0, "host", frame)], [1])
         totals.add(batch)
     lines = [line.plain for line in figures(totals, None, 86_805, 18)]
     assert lines[7:9] == ["! 2 from the host", "  faulty instruction: 2"]
-    assert lines[-2:] == ["Sp… 3,001   0.5 ms", "un…     2         "]
+    assert lines[-2:] == ["S… 3,001    0.5 ms", "u…     2          "]
+
+
+def test_a_count_and_a_short_latency_stand_apart_and_one_frame_is_no_plural(
+    protocol: Protocol,
+) -> None:
+    totals = Totals(protocol)
+    events = [
+        Chunk(at, "host" if at % 2 else "device", b"\x90" if at % 2 else b"\1")
+        for at in (1, 86_902, 1_000_000_001, 1_000_086_902)
+    ]
+    for batch in told(StreamDecoder(protocol), events, [len(events)]):
+        totals.add(batch)
+    lines = [line.plain for line in figures(totals, Rates(1, (1, 1)), 86_805, 27)]
+    assert "1 frame/s, 0% full" in lines
+    assert lines[-1].endswith(" 2 0.0869 ms")
 
 
 def test_the_car_turns_and_lights_as_its_state_says(protocol: Protocol) -> None:

@@ -13,6 +13,7 @@ from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.screen.browser import Browser
 from bilprov.analyzer.screen.details import details
 from bilprov.analyzer.screen.frame_list import words_of
+from bilprov.analyzer.screen.keys import ORDINARY, REFUSAL
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.spec.codec import build, judge, raw_frame
 from bilprov.spec.protocol import Protocol, load
@@ -144,6 +145,16 @@ def test_a_damaged_answer_tells_what_is_wrong_with_it() -> None:
     (batch,) = told(StreamDecoder(protocol), events, [2])
     _, why = words_of(batch.records()[1])
     assert why.startswith("crc is 00 00, right is ")
+    lines = details(protocol, batch.records()[1], state=False)
+    assert sum(why in line.text for line in lines) == 1
+
+
+def test_the_code_of_an_answer_that_refuses_has_its_sign(protocol: Protocol) -> None:
+    events = [Chunk(0, "host", b"\x90"), Chunk(MS, "device", b"\1")]
+    (batch,) = told(StreamDecoder(protocol), events, [2])
+    looks = [(one.label, one.look) for one in details(protocol, batch.records()[1], state=False)]
+    assert looks[0] == ("code", REFUSAL)
+    assert {look for _, look in looks[1:]} == {ORDINARY}
 
 
 def test_a_grammar_without_a_state_has_no_line_of_it() -> None:
