@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from mcap.writer import Writer
 
@@ -20,7 +20,8 @@ from bilprov.captures.wall_clock import LONGEST
 BAD = "\x1b[31m \u202e \ud800 \r\n [/x] \0 \u200b é"
 TEXTS = st.text(st.sampled_from(BAD), max_size=8) | st.sampled_from(["x" * 300, "\x9b" * 100])
 NUMBERS = st.integers(-(1 << 70), 1 << 70)
-TIMES = st.integers(0, (1 << 64) - 1)
+LATEST = (1 << 64) - 1
+TIMES = st.integers(0, LATEST)
 MESSAGES = st.tuples(
     TIMES,
     st.fixed_dictionaries({"t": NUMBERS, "event": TEXTS, "detail": TEXTS})
@@ -60,6 +61,11 @@ def given_by(capture: Capture) -> Iterator[object]:
     yield from capture.losses()
 
 
+FAR_LOOK = {"t": 0, "moving": None, "motion": "", "left": 1 << 70}
+
+
+@example(library="", pairs={}, topic="x", start="0", messages=[(LATEST, b"")])
+@example(library="", pairs={}, topic="x", start="0", messages=[(0, FAR_LOOK)])
 @given(
     library=TEXTS,
     pairs=st.dictionaries(TEXTS, TEXTS, max_size=2),
@@ -101,5 +107,6 @@ def test_all_that_an_opened_capture_gives_is_bounded_prints_and_is_in_range(
     assert 0 <= capture.start < 1 << 64
     found = [held for value in given_by(capture) for held in numbers_and_texts(value)]
     assert [held for held in found if not safe(held)] == []
-    kept = sum(isinstance(value, Chunk) for value in capture.recorded())
-    assert kept == sum(isinstance(value, bytes) for _, value in messages)
+    times = [time - capture.start for time, value in messages if isinstance(value, bytes)]
+    kept = [value.t for value in capture.recorded() if isinstance(value, Chunk)]
+    assert kept == [min(max(time, -LONGEST), LONGEST) for time in times]
