@@ -95,6 +95,7 @@ def given(grammar_text: str, horn_text: str) -> dict[str, bytes]:
     return {
         "examples.mcap": sample,
         "cut-off.mcap": sample[:9000],
+        "killed.mcap": sample[: int.from_bytes(sample[-28:-20], "little") - 13],  # without its end
         "damaged.mcap": sample[:6000] + bytes(64) + sample[6064:],
         "conform.mcap": gzip.decompress((older / "conform.mcap.gz").read_bytes()),
         "old-horn.txt": (older / "horn-grammar.txt").read_bytes(),

@@ -51,8 +51,8 @@ milliseconds = Finite(0.001, 60_000)
 _FILTER = """\
 Show only the rows for which EXPR holds, like "faulty and latency > 20ms". Names: the fields of the
 grammar, id len data sequence response latency latency_ns answers agrees name direction kind hex
-bytes judgement faulty faults reason t t_ns time state.motion (speed, steering, led, moving). Signs:
-== != < <= > >= in contains & and or not; names in any case. docs/filters.md explains them."""
+bytes judgement faulty faults reason t t_ns time state.* fields.*. Signs: == != < <= > >= in
+contains & and or not; names in any case. docs/filters.md explains them."""
 
 
 # Options of several commands that are one field each.

@@ -147,17 +147,20 @@ def of_capture(path: Path) -> Iterator[Finding]:
         yield Finding("lost", Grade.BLOCKS, f"{when}: {what}")
     if len(losses) > _SHOWN:
         yield Finding("lost", Grade.BLOCKS, "messages are lost in further places")
+    incomplete = bool(left_out or capture.damage or losses)
+    new = path.with_name(f"{path.stem}-repaired.mcap")
+    words = shlex.join(["bilprov", "capture", "repair", str(path), str(new)])
     if capture.unfinished:
         cut = f", and ends inside a record ({quantity(left_out, 'byte')})" if left_out else ""
+        then = "" if incomplete else ": repair it to have a finished file"
         yield Finding(
             "end",
             Grade.BLOCKS if left_out else Grade.ADVICE,
             f"it was never finished: its writer was killed or is still writing{cut}; "
-            "up to there it is complete",
+            f"up to there it is complete{then}",
+            "" if incomplete else words,
         )
-    if left_out or capture.damage or losses or capture.unfinished:
-        new = path.with_name(f"{path.stem}-repaired.mcap")
-        words = shlex.join(["bilprov", "capture", "repair", str(path), str(new)])
+    if incomplete:
         share = f"{quantity(left_out, 'byte')} ({left_out / size:.1%}) cannot be read; "
         what = f"{share if left_out else ''}a new file with all the rest"
         yield Finding("mend", Grade.ADVICE, what, words)
