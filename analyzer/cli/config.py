@@ -8,9 +8,9 @@ import click
 import msgspec
 from click.shell_completion import get_completion_class, shell_complete
 
-from bilprov.analyzer.cli.command import argument, command
+from bilprov.analyzer.cli.command import argument, command, protocol_in_use
 from bilprov.analyzer.cli.options import text_format_option
-from bilprov.analyzer.cli.settings import META
+from bilprov.analyzer.cli.settings import DEVICE, META, Tables, defaults_of
 from bilprov.spec.errors import UserError
 
 
@@ -30,16 +30,21 @@ def config(options: ConfigOptions) -> None:
     settings for all commands at its top (baud, parity, stopbits, echo, truncation-timeout, probe,
     grammar, time, columns, yes), a table for each command with any of its options, like [sniff] and
     [capture.cut], and named devices, which then stand for their port: [device.car] port =
-    "/dev/ttyUSB0", baud = 9600. Options that are typed come before all of them.
+    "/dev/ttyUSB0", baud = 9600. Options that are typed come before all of them. A setting that its
+    command would refuse is refused here too (2).
     """
     from bilprov.analyzer.output import console
 
-    tables = click.get_current_context().meta[META].items()
+    root = click.get_current_context().find_root()
+    tables: Tables = root.meta[META]
     rows = [
         {"command": name or "all", "setting": key, "value": value}
-        for name, values in tables
+        for name, values in tables.items()
         for key, value in values.items()
     ]
+    if rows:
+        protocol_in_use()
+        _require_taken(root, tables)
     if options.style == "json":
         console.show_json(rows)
     elif rows:
@@ -47,6 +52,24 @@ def config(options: ConfigOptions) -> None:
         console.show(console.table(tuple(rows[0]), cells))
     else:
         click.echo("nothing is set; bilprov config --help explains where and how")
+
+
+def _require_taken(ctx: click.Context, tables: Tables) -> None:
+    """Raise what a command below `ctx` would, for a setting that it does not know or take."""
+    group = ctx.command
+    assert isinstance(group, click.Group)
+    devices = [values for name, values in tables.items() if name.startswith(DEVICE)]
+    for name in group.list_commands(ctx):
+        _, command, _ = group.resolve_command(ctx, [name])
+        assert command is not None
+        if isinstance(command, click.Group):
+            _require_taken(click.Context(command, ctx, name), tables)
+        for values in ({}, *devices):
+            below = click.Context(command, ctx, name)
+            below.default_map = {**(below.default_map or {}), **defaults_of(command, values)}
+            for param in command.params:
+                if param.name in below.default_map:
+                    param.handle_parse_result(below, {}, [])
 
 
 VARIABLE = "_BILPROV_COMPLETE"  # of the environment; tells that a shell asks

@@ -27,7 +27,7 @@ COMMON = ("grammar", *LINE, "probe", "time", "columns", "yes")
 DEVICE_KEYS = (PORT, *LINE, "probe", "power", "yes")  # of a named device
 
 META = "bilprov.settings"  # the key of the settings in the `meta` of click's contexts
-_DEVICE = "device "  # how the name of a device's table begins
+DEVICE = "device "  # how the name of a device's table begins
 _MOST = 1 << 20  # bytes of the file
 
 # Values by their key, like `truncation-timeout`, by the table's name: that of a command, like
@@ -85,9 +85,9 @@ def _tables(values: Mapping[str, Any], name: str = "") -> Iterator[tuple[str, di
 
 def _wrong(name: str, values: Mapping[str, Any], commands: Iterable[str]) -> str:
     """What is wrong with a table, "" if it is fine."""
-    if name and not f"{name} ".startswith(_DEVICE):
+    if name and not f"{name} ".startswith(DEVICE):
         return former_name(name) or unknown([name], commands, "a command")
-    device = name.removeprefix(_DEVICE)
+    device = name.removeprefix(DEVICE)
     if (name and not device.replace("-", "").replace("_", "").isalnum()) or device == "sim":
         return "a device's name is letters, digits, - and _, and not sim"
     if name != device and PORT not in values:
@@ -120,7 +120,7 @@ def use_settings(ctx: click.Context, command: click.Command, name: str, tables: 
     ctx.meta[META] = tables
     own = tables.get(name, {})
     _refuse(user_file(), name, unknown(own, _options(command), f"an option of {name}"))
-    defaults = _defaults(command, {**tables.get("", {}), **own})
+    defaults = defaults_of(command, {**tables.get("", {}), **own})
     if ctx.find_root().params.get("grammar") is not None:
         defaults.pop("grammar", None)
     ctx.default_map = {name.rpartition(" ")[2]: defaults}
@@ -132,7 +132,7 @@ def _options(command: click.Command) -> dict[str, click.Option]:
     return {max(option.opts, key=len).lstrip("-"): option for option in options}
 
 
-def _defaults(command: click.Command, values: Mapping[str, Any]) -> dict[str, Any]:
+def defaults_of(command: click.Command, values: Mapping[str, Any]) -> dict[str, Any]:
     """The values of a command's options by parameter, as if they were typed."""
     found: dict[str, Any] = {}
     for key, option in _options(command).items():
@@ -158,10 +158,10 @@ class PortName(click.ParamType):  # type: ignore[type-arg]  # takes arguments si
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
         """The port that is meant."""
-        device = ctx.meta.get(META, {}).get(f"{_DEVICE}{value}") if ctx else None
+        device = ctx.meta.get(META, {}).get(f"{DEVICE}{value}") if ctx else None
         if not ctx or not device or is_setting(ctx, param) or Path(value).exists():
             return str(value)
-        ctx.default_map = {**(ctx.default_map or {}), **_defaults(ctx.command, device)}
+        ctx.default_map = {**(ctx.default_map or {}), **defaults_of(ctx.command, device)}
         return str(device[PORT])
 
     def shell_complete(
@@ -174,8 +174,8 @@ class PortName(click.ParamType):  # type: ignore[type-arg]  # takes arguments si
 
         known = {port.path: port.description for port in list_ports()}
         for table, device in ctx.meta.get(META, {}).items():
-            if table.startswith(_DEVICE):
-                known[table.removeprefix(_DEVICE)] = str(device[PORT])
+            if table.startswith(DEVICE):
+                known[table.removeprefix(DEVICE)] = str(device[PORT])
         found = ((name, help) for name, help in known.items() if name.startswith(incomplete))
         items = [CompletionItem(name, help=help) for name, help in found]
         return items or [CompletionItem(incomplete, type="file")]
