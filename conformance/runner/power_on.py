@@ -6,6 +6,9 @@ The first frame is a setting and no Stop, which would hide a robot that moves at
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 from bilprov.analyzer.client.operations import (
     Procedure,
     Received,
@@ -21,9 +24,9 @@ from bilprov.conformance.cases.single_frames import at_rest, link_check, motion_
 from bilprov.conformance.oracle import judge
 from bilprov.conformance.oracle.sight import NOT_OBSERVABLE
 from bilprov.conformance.oracle.state_model import ExpectedState
-from bilprov.conformance.oracle.verdicts import Axis, Verdict
-from bilprov.conformance.runner.retry import case_bytes, confirm
-from bilprov.conformance.runner.run import Run
+from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
+from bilprov.conformance.runner.retry import FEW, Attempt, confirm
+from bilprov.conformance.runner.run import Run, result_of
 from bilprov.spec.codec import spaced
 from bilprov.spec.readings import FLUSH_POINTS
 from bilprov.spec.state import State
@@ -67,19 +70,14 @@ def first_bytes(run: Run) -> Procedure[str]:
         answer = _judged(run, case, heard, sent)
         # As long as no answer has come on this line, the next instruction tells more than a retry.
         alive = alive or bool(heard.answers)
-        if answer.verdict is Verdict.FAIL and alive:
-            answer = yield from _again(run, case, answer, fresh=first)
+        if alive:
+            again = partial(_answered, run, case, fresh=first)
+            confirmed = yield from _confirmed(run, case, _one(case, "answer", answer), again)
+            answer = confirmed.axes["answer"]
         axes = {"answer": judge.lost(answer) if run.profile.flushes and not flushed else answer}
         if first:
-            axes["state"] = yield from _still(run, case.expected, "")
-            if axes["state"].verdict is Verdict.FAIL:
-
-                def moves(case: Case = case) -> Procedure[bool]:
-                    yield from _exchange(run, case, 0)
-                    return (yield from _still(run, case.expected, "")).verdict is Verdict.FAIL
-
-                again = yield from confirm(run, case_bytes(case), moves)
-                axes["state"] = again.judged(run, axes["state"])
+            state = _one(case, "state", (yield from _still(run, case.expected, "")))
+            axes |= (yield from _confirmed(run, case, state, partial(_stands, run, case))).axes
         outcomes.append((case, axes, heard, sent))
     exchanges = [(case.frame, heard) for case, _, heard, _ in outcomes[1:]]
     unusable = _line_fault(run, exchanges) or (yield from _other_device(run, exchanges))
@@ -146,20 +144,36 @@ def _ahead(run: Run) -> Procedure[None]:
     )
 
 
-def _again(run: Run, case: Case, first: Axis, *, fresh: bool) -> Procedure[Axis]:
-    """Retry a failed exchange.
+def _confirmed(
+    run: Run, case: Case, first: Attempt, again: Callable[[], Procedure[Attempt]]
+) -> Procedure[CaseResult]:
+    """The result of a first exchange, made `again` where it failed: flaky if it may be noise."""
+    if not first.failed:
+        return first.result
+    return (yield from confirm(run, case, first, again, FEW)).judged(run, first.result)
+
+
+def _answered(run: Run, case: Case, *, fresh: bool) -> Procedure[Attempt]:
+    """Make an exchange again, for its answer.
 
     `fresh` if it was the first instruction after power-on: where the power can be switched, each
     try is one too.
     """
+    if fresh and run.config.power:
+        yield from power_cycle()
+    heard, sent = yield from _exchange(run, case, 0)
+    return _one(case, "answer", _judged(run, case, heard, sent))
 
-    def fails() -> Procedure[bool]:
-        if fresh and run.config.power:
-            yield from power_cycle()
-        heard, sent = yield from _exchange(run, case, 0)
-        return _judged(run, case, heard, sent).verdict is Verdict.FAIL
 
-    return (yield from confirm(run, case_bytes(case), fails)).judged(run, first)
+def _stands(run: Run, case: Case) -> Procedure[Attempt]:
+    """Make an exchange again, for what the robot does then."""
+    yield from _exchange(run, case, 0)
+    return _one(case, "state", (yield from _still(run, case.expected, "")))
+
+
+def _one(case: Case, name: str, axis: Axis) -> Attempt:
+    """The attempt at a single axis of a case."""
+    return Attempt(result_of(case, {name: axis}))
 
 
 def _judged(run: Run, case: Case, heard: Received, sent: int) -> Axis:
@@ -209,21 +223,12 @@ def _second_power_on(run: Run) -> Procedure[None]:
         run.conclude(case, {"answer": Axis(Verdict.SKIPPED, "", "not run", reason)})
         return
     run.begin(case.id)
-    axes, heard, sent = yield from _from_power_on(run, case)
-    failing = [name for name, axis in axes.items() if axis.verdict is Verdict.FAIL]
-    if failing:
-
-        def fails() -> Procedure[bool]:
-            again, _, _ = yield from _from_power_on(run, case)
-            return any(again[name].verdict is Verdict.FAIL for name in failing)
-
-        again = yield from confirm(run, case_bytes(case), fails)
-        axes = {name: again.judged(run, axis) for name, axis in axes.items()}
-    run.conclude(case, axes, heard.answers, sent)
+    again = partial(_from_power_on, run, case)
+    run.publish((yield from _confirmed(run, case, (yield from again()), again)))
 
 
-def _from_power_on(run: Run, case: Case) -> Procedure[tuple[dict[str, Axis], Received, int]]:
-    """Power-cycle and make the case's exchange: its axes, its answers, when it was sent (ns)."""
+def _from_power_on(run: Run, case: Case) -> Procedure[Attempt]:
+    """Power-cycle and make the case's exchange."""
     yield from power_cycle()
     if (run.profile.boot or 0) > run.timers.longest:
         # It needed several tries. If it was still booting, twice that time is enough.
@@ -237,7 +242,7 @@ def _from_power_on(run: Run, case: Case) -> Procedure[tuple[dict[str, Axis], Rec
         heard, sent = yield from _exchange(run, case, run.timers.boot)
     answer = _judged(run, case, heard, sent)
     state = yield from _still(run, case.expected, case.reading, may_move=True)
-    return {"answer": answer, "state": state}, heard, sent
+    return Attempt(result_of(case, {"answer": answer, "state": state}, heard.answers, sent))
 
 
 def _chatter(case: Case, heard: Received) -> bool:

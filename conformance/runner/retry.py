@@ -4,21 +4,22 @@ A mismatch on a line may be noise. Reproduced twice in three tries it is a failu
 flaky, that is inconclusive and never a pass; a line that loses nothing has no noise, and there it
 is a failure all the same. A fault that shows only now and then (a counter) is tried more often.
 Reproduced failures of a sequence are minimised to a short one that still fails, of which the
-reproducer is written. `confirm` repeats any other trial until noise does not explain its failures.
+reproducer is written. `confirm` repeats the first exchanges after power-on as well.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import comb
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import msgspec
 
 from bilprov.analyzer.client.operations import Ended, Procedure, Reconnected
+from bilprov.captures.text import quantity
 from bilprov.conformance.cases.case import Case, OrderCase, steps_to
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
@@ -97,6 +98,8 @@ def attempt(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
 
 
 _TRIES, _TWICE = 3, 2
+FEW = _TRIES + 1
+"""The least number of tries `most` of `confirm`: what failed in three of four is no noise."""
 _MORE, _OFTEN = 24, 3  # for a failure that does not show each time: most tries, failures needed
 _BYTES = 8000  # most bytes on the line for all tries of a case
 _FLAKY = 8
@@ -147,13 +150,11 @@ def judge_case(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
     known = _placed(case, first) if run.config.lossless else first.result
     confirmed = False
     try:
-        again = yield from _again(run, case, first)
-        if not again.sure and run.config.lossless:
-            run.counters.reproduced += 1
-            return Attempt(_not_reproduced(run, known, again))
-        if not again.sure and not _cannot_be_noise(run, first):
-            run.counters.flaky += 1
-            return Attempt(_not_reproduced(run, first.result, again))
+        again = yield from confirm(run, case, first, lambda: _retry(run, case))
+        if not again.sure and (run.config.lossless or not _cannot_be_noise(run, first)):
+            run.counters.reproduced += run.config.lossless
+            run.counters.flaky += not run.config.lossless
+            return Attempt(again.judged(run, known))
         run.counters.reproduced += 1
         known, confirmed = _placed(case, first), True
         if isinstance(case, SequenceCase) and first.mismatch:
@@ -194,38 +195,6 @@ def _shortened(
     behind = replace(case, setup=begun)
     short = yield from minimise(behind, first, mismatch, lambda shorter: _retry(run, shorter))
     return short if case.setup else replace(short, setup=())
-
-
-def _again(run: Run, case: Case | SequenceCase, first: Attempt) -> Procedure[Confirmed]:
-    """Attempt a failed case again, until it is sure that it is no noise, or not."""
-    same_place = same_kind = tries = more = 0
-    size = case_bytes(case)
-    # On a line that was flaky before, the same failure in another place may be noise again.
-    needed = _OFTEN + min(run.counters.flaky, _OFTEN)
-    # On a line that is flaky throughout each case gets fewer tries.
-    most = _TRIES if run.counters.flaky >= _FLAKY else max(_TRIES + 1, min(_MORE, _BYTES // size))
-    # What fails in its place each time is told from noise by further tries.
-    while tries < most or same_place == tries < _MORE:
-        again = yield from _retry(run, case)
-        tries += 1
-        if again.failed:
-            more += 1
-            same_place += again.where == first.where
-            same_kind += again.how == first.how
-        # What stands still now and then fails now and then, in any place, and for long.
-        seldom = first.held_up and 2 * more <= tries
-        if (
-            not seldom
-            and same_place >= _TWICE
-            and _is_no_noise(run, first, _burst_bytes(case, first), same_place, tries)
-        ):
-            return Confirmed(True, tries, more)
-        # Noise hits a long sequence more often than a short one, and in any place.
-        if not seldom and same_kind >= needed and _is_no_noise(run, first, size, same_kind, tries):
-            return Confirmed(True, tries, more)
-        if tries >= _TRIES and same_kind + (most - tries) < needed:
-            break
-    return Confirmed(False, tries, more)
 
 
 def _is_no_noise(run: Run, first: Attempt, size: int, failed: int, tries: int) -> bool:
@@ -288,11 +257,6 @@ def _placed(case: Case | SequenceCase, tried: Attempt) -> CaseResult:
         planned_clause=case.clause,
         sent=sent,
     )
-
-
-def _not_reproduced(run: Run, result: CaseResult, again: Confirmed) -> CaseResult:
-    """The result of a failure that was not reproduced: inconclusive unless the line is lossless."""
-    return result.with_axes({n: again.judged(run, axis) for n, axis in result.axes.items()})
 
 
 LONGEST_MINIMISED, _SHORTER = 5, 60  # sequences minimised in a run, tries for each
@@ -376,11 +340,12 @@ def reproducer(run: Run, case: SequenceCase) -> str:
     return " ".join((["--together"] if split else []) + words)
 
 
-# -- whether failures that came again may be spoilt bytes on the line after all -------------------
+# -- whether what was observed may be due to spoilt bytes on the line -----------------------------
+# `confirm` tries a failure again until its number is no chance, `agree` observes something unknown
+# until its outcomes are enough alike; both by one likelihood, `is_no_chance`.
 
 _SPOILT, _UNLIKELY = 1e-3, 1e-4  # share of bytes that noise may spoil; what is no chance
 _FRAME = 3  # bytes on the line for a frame, its answer included, at least
-_MOST = 12  # tries of what failed once, at most
 _ENOUGH = 20  # failures: more make nothing surer
 _SINGLE = 20  # bytes of a single-frame case's preamble and recovery
 
@@ -395,29 +360,114 @@ class Confirmed(NamedTuple):
     tries: int
     failed: int
 
-    def judged(self, run: Run, axis: Axis) -> Axis:
-        """The axis, flaky if it failed and that is not sure; on a lossless line it stays failed."""
-        if self.sure or axis.verdict is not Verdict.FAIL:
-            return axis
-        if not run.config.lossless:
-            return axis.uncertain(f"flaky, not reproduced in {self.tries} tries: ")
-        times = f"{self.failed + 1} times" if self.failed else "once"
-        met = f"met {times} in {self.tries + 1} tries, on a line that loses nothing"
-        return msgspec.structs.replace(axis, reason=f"{met}: {axis.reason}")
+    def judged(self, run: Run, result: CaseResult) -> CaseResult:
+        """The result, its worst axes flaky if it is not sure (see `RunConfig.unsteady`)."""
+        met, of = self.failed + 1, quantity(self.tries + 1, "try", "tries")
+        return result.with_axes(
+            {
+                name: axis
+                if self.sure or axis.verdict is not result.verdict
+                else run.config.unsteady(axis, met, of)
+                for name, axis in result.axes.items()
+            }
+        )
 
 
-def confirm(run: Run, size: int, fails: Callable[[], Procedure[bool]]) -> Procedure[Confirmed]:
-    """Repeat a trial of `size` bytes that failed, until noise does not explain its failures.
+def confirm(
+    run: Run,
+    case: Case | SequenceCase,
+    first: Attempt,
+    again: Callable[[], Procedure[Attempt]],
+    most: int = _MORE,
+) -> Procedure[Confirmed]:
+    """Make `again` what failed at `first`, until its failures are no noise, or too few for that.
 
-    It is given up where most of the tries do not fail.
+    `most` is how many tries are made, where it does not fail in its place each time.
     """
-    tries = failed = 0
-    while tries < _MOST and (tries < _TRIES or 2 * failed > tries):
-        failed += yield from fails()
+    same_place = same_kind = tries = more = 0
+    size = case_bytes(case)
+    # On a line that was flaky before, the same failure in another place may be noise again.
+    needed = _OFTEN + min(run.counters.flaky, _OFTEN)
+    # On a line that is flaky throughout each case gets fewer tries.
+    most = _TRIES if run.counters.flaky >= _FLAKY else max(FEW, min(most, _BYTES // size))
+    # What fails in its place each time is told from noise by further tries.
+    while tries < most or same_place == tries < _MORE:
+        tried = yield from again()
         tries += 1
-        if failed > 1 and is_no_chance(run, size, failed, tries):
-            return Confirmed(True, tries, failed)
-    return Confirmed(False, tries, failed)
+        if tried.failed:
+            more += 1
+            same_place += tried.where == first.where
+            same_kind += tried.how == first.how
+        # What stands still now and then fails now and then, in any place, and for long.
+        seldom = first.held_up and 2 * more <= tries
+        if (
+            not seldom
+            and same_place >= _TWICE
+            and _is_no_noise(run, first, _burst_bytes(case, first), same_place, tries)
+        ):
+            return Confirmed(True, tries, more)
+        # Noise hits a long sequence more often than a short one, and in any place.
+        if not seldom and same_kind >= needed and _is_no_noise(run, first, size, same_kind, tries):
+            return Confirmed(True, tries, more)
+        if tries >= _TRIES and same_kind + (most - tries) < needed:
+            break
+    return Confirmed(False, tries, more)
+
+
+class Outcome(Protocol):
+    """What an observation showed."""
+
+    @property
+    def fault(self) -> object:
+        """What it showed that no conforming device shows; "" or False for nothing."""
+
+    @property
+    def coarse(self) -> str:
+        """Why the link was too slow to tell, "" if it was not."""
+
+    def fits(self, other: Any) -> bool:
+        """Whether both show the same."""
+
+
+AnyOutcome = TypeVar("AnyOutcome", bound=Outcome)
+AGREE, _SETTLED, _MOST = 2, 6, 12  # outcomes that agree; most tries, and where noise may differ
+
+
+def agree(
+    run: Run,
+    case: Case,
+    observe: Callable[[], Procedure[AnyOutcome]],
+    needed: int = AGREE,
+) -> Procedure[list[list[AnyOutcome]]]:
+    """Observe until as many outcomes agree as are `needed`; three where they differ or one failed.
+
+    Six times at most, twelve where noise may be why another outcome came more than once. Returns
+    the outcomes, those together that agree, the most first.
+    """
+    kinds: list[list[AnyOutcome]] = []
+    tries = 0
+    while (tries < _SETTLED and (not kinds or len(kinds[0]) < needed)) or (
+        tries < _MOST and may_be_noise(run, case, kinds)
+    ):
+        one = yield from observe()
+        tries += 1
+        alike = next((kind for kind in kinds if all(known.fits(one) for known in kind)), [])
+        if not alike:
+            kinds.append(alike)
+        alike.append(one)
+        kinds.sort(key=len, reverse=True)
+        if one.fault or sum(not kind[0].coarse for kind in kinds) > 1:
+            needed = AGREE + 1
+    return kinds
+
+
+def may_be_noise(run: Run, case: Case, kinds: Sequence[Sequence[Outcome]]) -> bool:
+    """Whether spoilt bytes may be why a second kind of outcome came more than once."""
+    # Where the link was too slow for a try, that is said instead.
+    coarse = any(kind[0].coarse for kind in kinds)
+    if coarse or run.config.lossless or len(kinds) < 2 or len(kinds[1]) < 2:
+        return False
+    return not is_no_chance(run, case_bytes(case), len(kinds[1]), sum(map(len, kinds)))
 
 
 def is_no_lie(run: Run, looks: int, failed: int, tries: int) -> bool:

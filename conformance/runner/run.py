@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from itertools import islice
 
+import msgspec
+
 from bilprov.analyzer.client.operations import Ended, Operation, Received, Reconnected, Reply
 from bilprov.captures.schemas import Look
 from bilprov.conformance.cases.adaptation import on_the_wire
@@ -57,7 +59,7 @@ class StrayAnswers:
         self._strays.append((came, reason))
         many = len(self._strays) >= _SEVERAL + _NOISE * self._run.answers
         if self._lossless or many or len(came) >= _STRAYS:
-            self._end_strays(Verdict.FAIL)
+            self._end_strays(certain=many or len(came) >= _STRAYS)
 
     def missing(self, count: int) -> None:
         """Record `count` unanswered instructions of a device that went on answering."""
@@ -66,7 +68,7 @@ class StrayAnswers:
     def silent(self, reason: str) -> None:
         """Report that the device stopped answering: a failure."""
         self._lost = 0
-        self._silence(Verdict.FAIL, reason)
+        self._silence(reason)
 
     def close(self, *, keeps_all: bool) -> None:
         """Report at the run's end what was recorded, as inconclusive.
@@ -75,33 +77,28 @@ class StrayAnswers:
         regardless of what preceded it; any other may discard what follows a fault.
         """
         if self._strays:
-            self._end_strays(Verdict.INCONCLUSIVE)
+            self._end_strays()
         if self._lost and keeps_all:
-            times = "once" if self._lost == 1 else f"{self._lost} times"
-            reason = f"no answer came {times} where no case was judged"
-            if self._lossless:
-                self._silence(Verdict.FAIL, f"{reason}, on a line that loses nothing")
-            else:
-                self._silence(Verdict.INCONCLUSIVE, f"flaky: {reason}")
+            self._silence("no answer came where no case was judged", self._lost)
 
-    def _silence(self, verdict: Verdict, reason: str) -> None:
+    def _silence(self, reason: str, times: int = 0) -> None:
+        """Publish the failure, which may be noise where it was met so many `times`."""
         case = case_of_the_run(self._run.protocol, "line/lost")
-        axis = Axis(verdict, "each instruction answered once", "no answer", reason)
+        axis = Axis(Verdict.FAIL, "each instruction answered once", "no answer", reason)
+        if times:
+            axis = self._run.config.unsteady(axis, times, "the run")
         self._run.conclude(case, {"answer": axis}, certain=True)
 
-    def _end_strays(self, verdict: Verdict) -> None:
+    def _end_strays(self, *, certain: bool = False) -> None:
+        """Publish them once as a failure; unless it is `certain` they may be noise."""
         if self._stray:
             return
         self._stray = True
         came = tuple(answer for answers, _ in self._strays for answer in answers)
-        reason = self._strays[-1][1]
-        if self._lossless and len(came) < _STRAYS:
-            reason = f"{reason}, on a line that loses nothing"
-        if verdict is not Verdict.FAIL:
-            times = "once" if len(self._strays) == 1 else f"{len(self._strays)} times"
-            reason = f"flaky, only {times} in the run: {reason}"
         words = answer_words(self._run.protocol, tuple(code for _, code in came))
-        axis = Axis(verdict, "no answer", words, reason, "R-unsolicited")
+        axis = Axis(Verdict.FAIL, "no answer", words, self._strays[-1][1], "R-unsolicited")
+        if not certain:
+            axis = self._run.config.unsteady(axis, len(self._strays), "the run")
         case = case_of_the_run(self._run.protocol, "line/unsolicited")
         self._run.conclude(case, {"answer": axis}, came, came[0][0])
 
@@ -130,6 +127,19 @@ class RunConfig:
     def observable(self) -> bool:
         """Whether looks are available and cheap."""
         return self.observability.available and not self.observability.costly
+
+    def unsteady(self, axis: Axis, met: int, of: str) -> Axis:
+        """The axis of what may be noise: flaky, thus inconclusive.
+
+        On a lossless line what failed stays a failure. `met` is how often it was met, `of` names
+        the tries or the run in which it was.
+        """
+        times = "once" if met == 1 else f"{met} times"
+        verdict, words = Verdict.INCONCLUSIVE, f"flaky, met {times} in {of}"
+        if self.lossless and axis.verdict is Verdict.FAIL:
+            verdict, words = Verdict.FAIL, f"met {times} in {of}, on a line that loses nothing"
+        reason = f"{words}: {axis.reason}".rstrip(": ")
+        return msgspec.structs.replace(axis, verdict=verdict, reason=reason)
 
     def not_observable(self, expected: str) -> Axis:
         """The axis of something that cannot be observed: inconclusive, never a pass."""

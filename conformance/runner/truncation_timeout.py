@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import msgspec
 
@@ -19,13 +20,13 @@ from bilprov.conformance.cases.single_frames import truncation_timeout
 from bilprov.conformance.oracle.judge import judge_answers, look_words
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
 from bilprov.conformance.runner.homing import home, home_after, set_up_slowly, watch
+from bilprov.conformance.runner.retry import AGREE, Confirmed, agree
 from bilprov.conformance.runner.run import Run, Trial
 
 # Between two looks: half of the time since the header, within these limits.
 _FINEST, _COARSEST = MS, 10 * MS
 _JITTER = 20 * MS  # of the link; times that differ by less count as equal
 _PATIENCE = 500 * MS  # for a probe to show that it moves
-_TWICE, _TRIES = 2, 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,15 +40,17 @@ class _Measured:
     result: CaseResult
     timeout: int | None
     silent: int = 0
+    coarse: str = "the line delays what is measured"  # times that differ are no choices
 
     @property
-    def failed(self) -> bool:
+    def fault(self) -> bool:
+        """Whether the case failed."""
         return self.result.verdict is Verdict.FAIL
 
-    def agrees(self, other: _Measured) -> bool:
+    def fits(self, other: _Measured) -> bool:
         """Whether both measurements agree, but for the jitter of the line."""
-        if self.failed or other.failed:
-            return self.failed and other.failed
+        if self.fault or other.fault:
+            return self.fault and other.fault
         mine, theirs = self.timeout, other.timeout
         if bool(self.result.received) != bool(other.result.received):
             return False
@@ -59,24 +62,25 @@ class _Measured:
 def measure_timeout(run: Run) -> Procedure[None]:
     """Measure the truncation time-out and judge it as a case. Leaves the line homed.
 
-    A single result may be noise, a byte changed on the line: it is measured until two results
-    agree, and a failure until it was reproduced twice.
+    A single result may be noise, a byte changed on the line.
     """
     case = truncation_timeout(run.protocol)
     if case is None:
         return
     run.begin(case.id)
-    made: list[_Measured] = []
-    alike: list[_Measured] = []
     stop_tells, checked = True, False
-    while len(made) < _TRIES and len(alike) < (_TWICE + 1 if alike and alike[0].failed else _TWICE):
+
+    def measure() -> Procedure[_Measured]:
+        nonlocal stop_tells, checked
         one = yield from _measure(run, case, stop_tells=stop_tells)
         if one.silent and not checked:
             checked, stop_tells = True, not (yield from _stops_by_itself(run, one.silent))
             if not stop_tells:
-                continue
-        made.append(one)
-        alike = max(([m for m in made if m.agrees(one)] for one in made), key=len)
+                return (yield from _measure(run, case, stop_tells=False))
+        return one
+
+    alike, *others = yield from agree(run, case, measure)
+    made = [*alike, *chain(*others)]
     best = alike[0]
     times = [one.timeout for one in alike if one.timeout is not None]
     run.profile.truncation_timeout = min(times) if times else None
@@ -85,18 +89,9 @@ def measure_timeout(run: Run) -> Procedure[None]:
     if spread > _JITTER:  # pauses come out longer by that much too
         run.profile.jitter = max(spread, run.profile.jitter or 0)
     run.profile.truncation_answered = bool(best.result.received)
-    result = best.result
-    if len(alike) < len(made) or (best.failed and len(alike) <= _TWICE):
-        odd = next((one for one in made if one.failed), best)
-        name, axis = max(odd.result.axes.items(), key=lambda item: item[1].verdict)
-        reason = f"flaky, {len(made)} tries do not agree"
-        reason += f": {axis.reason}" if axis.reason else ""
-        if odd.failed and run.config.lossless:
-            result = odd.result
-        elif not (best.failed and len(alike) > _TWICE):
-            flaky = Axis(Verdict.INCONCLUSIVE, axis.expected, axis.actual, reason, axis.reading)
-            axes = best.result.axes | {name: flaky}
-            result = msgspec.structs.replace(result, verdict=Verdict.INCONCLUSIVE, axes=axes)
+    failed = [one for one in made if one.fault] or alike
+    sure = len(alike) > AGREE if best.fault else not others
+    result = Confirmed(sure, len(made) - 1, len(failed) - 1).judged(run, failed[0].result)
     run.publish(msgspec.structs.replace(result, planned_clause=case.clause))
 
 

@@ -1,16 +1,15 @@
 """Discovers a device's choices by short experiments on each open point of the document.
 
-An experiment is repeated until two findings agree; from then on the device is held to that
-choice. Where another one comes twice it goes on until noise on the line cannot explain that, or
-can. It is a case (`reading/...`) with the verdict that the readings give to the choice. Those on
-the state after a frame stand here, those on answers in `answers`.
+An experiment is repeated until its findings agree (`runner.retry.agree`); from then on the device
+is held to that choice. It is a case (`reading/...`) with the verdict that the readings give to the
+choice. Those on the state after a frame stand here, those on answers in `answers`.
 """
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
+from operator import attrgetter
 
 from bilprov.analyzer.client.operations import Procedure, Received, listen, observe, send
 from bilprov.captures.schemas import MS, Look
@@ -23,7 +22,7 @@ from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.runner.discovery.answers import Experiment, Finding, answer_experiments
 from bilprov.conformance.runner.homing import home, set_up, set_up_slowly, watch
 from bilprov.conformance.runner.power_on import first_frames_lost
-from bilprov.conformance.runner.retry import case_bytes, is_no_chance
+from bilprov.conformance.runner.retry import AGREE, agree, may_be_noise
 from bilprov.conformance.runner.run import Run
 from bilprov.spec.by_effect import fitted, movers, moving_to, setting
 from bilprov.spec.fields import Outcome
@@ -407,9 +406,6 @@ def _record_choice(run: Run, effect: Effect | None, full: State, look: Look) -> 
 READING = "reading/"
 """What the id of an experiment's case begins with."""
 
-_AGREE, _TRIES = 2, 6
-_MOST = 12  # tries, where noise may be why findings differ
-
 
 def reading_cases(protocol: Protocol) -> tuple[Case, ...]:
     """The experiments of every run, as cases, without those that only an option adds."""
@@ -461,38 +457,35 @@ def discover(run: Run) -> Procedure[None]:
 def _settle(run: Run, experiment: Experiment, case: Case) -> Procedure[bool]:
     """Make an experiment until two findings agree, and judge its case.
 
-    Six times at most, twelve where noise may be why another finding came more than once. Returns
-    whether the stops of the homing were taken for the data of a frame that had been cut short.
+    Returns whether the stops of the homing were taken for the data of a frame that had been cut
+    short.
     """
     taken = 0
-    shown: Counter[Finding] = Counter()
-    once = 1 if experiment.long else _AGREE
-    while (max(shown.values(), default=0) < once and sum(shown.values()) < _TRIES) or (
-        sum(shown.values()) < _MOST and _may_be_noise(run, shown, case)
-    ):
+
+    def make() -> Procedure[Finding]:
+        nonlocal taken
         found = yield from experiment.make(run)
         homed = yield from home(run)
         # A stop is answered OK, unless it was the data that a header had announced.
         ok = run.protocol.answers[Outcome.VALID].code
         taken += experiment.cut and not found.heard and homed.first not in (None, ok)
-        _count(shown, found)
-        if len(_told(shown)) > 1 or found.fault:
-            once = _AGREE + 1  # findings differ, or a fault: one more, to rule out noise
-    best, _ = shown.most_common(1)[0]
+        return found
+
+    kinds = yield from agree(run, case, make, 1 if experiment.long else AGREE)
+    shown = [(max(kind, key=attrgetter("told")), len(kind)) for kind in kinds]
+    best = shown[0][0]
+    told = [(found, times) for found, times in shown if not found.coarse]
+    tries = quantity(sum(times for _, times in told), "try", "tries")
     axis = "state" if experiment.sees else "answer"
-    coarse = next((found.coarse for found in shown if found.coarse), "")
-    noise = _may_be_noise(run, shown, case)
-    shown = _told(shown)
-    if _second(shown) > 1 and not noise:
-        kinds = " and ".join(sorted(found.actual for found in shown))
+    if len(told) > 1 and told[1][1] > 1 and not may_be_noise(run, case, kinds):
+        actual = " and ".join(sorted(found.actual for found, _ in told))
         reason = "shows more than one choice; a device keeps to one"
-        verdict = Verdict.FAIL
+        judged = Axis(Verdict.FAIL, best.expected, actual, reason, case.reading)
+        coarse = next((found.coarse for found, _ in shown if found.coarse), "")
         if experiment.timed and not run.config.virtual:
             coarse = coarse or "pauses near the time-out may come out longer at the device"
-        if coarse:  # then it may have been noise
-            verdict, reason = Verdict.INCONCLUSIVE, f"flaky: {coarse}"
-        run.conclude(case, {axis: Axis(verdict, best.expected, kinds, reason, case.reading)})
-        return taken >= _AGREE
+        run.conclude(case, {axis: judged.uncertain(f"{coarse}: ") if coarse else judged})
+        return taken >= AGREE
     judged = _judged(run, best, case)
     # What only a single try has shown does not stay in the profile either.
     choices, profile = run.profile.choices, run.profile
@@ -500,53 +493,16 @@ def _settle(run: Run, experiment: Experiment, case: Case) -> Procedure[bool]:
         profile.watchdog = None
     if "R-truncation-timeout" in experiment.points:
         profile.whole_frame = profile.whole_frame and choices.differs("R-truncation-timeout")
-    faults = sum(times for found, times in shown.items() if found.fault)
-    if judged.verdict is Verdict.FAIL and best.fault and faults <= _AGREE:
-        tries = quantity(sum(shown.values()), "try", "tries")
-        if not run.config.lossless:
-            reason = f"flaky, {quantity(faults, 'time')} in {tries}: {best.fault}"
-            judged = Axis(Verdict.INCONCLUSIVE, best.expected, best.actual, reason, case.reading)
-    elif len(shown) > 1 and judged.verdict < Verdict.INCONCLUSIVE:
-        other, times = shown.most_common(2)[1]
-        tries = quantity(sum(shown.values()), "try", "tries")
-        often = "once" if times == 1 else f"{times} times"
-        reason = f"flaky: shown {often} in {tries}: {other.actual}"
-        verdict = Verdict.INCONCLUSIVE
-        if run.config.lossless:
-            verdict = Verdict.FAIL
-            reason = (
-                f"{other.fault or 'a device keeps to one choice'}; shown once in {tries}, on a "
-            )
-            reason += f"line that loses nothing: {other.actual}"
-        judged = Axis(verdict, best.expected, best.actual, reason, case.reading)
+    faults = sum(times for found, times in told if found.fault)
+    if best.fault and faults <= AGREE:
+        judged = run.config.unsteady(judged, faults, tries)
+    elif len(told) > 1 and judged.verdict < Verdict.INCONCLUSIVE:
+        other, times = told[1]
+        reason = other.fault or f"another choice: {other.actual}"
+        judged = Axis(Verdict.FAIL, best.expected, best.actual, reason, case.reading)
+        judged = run.config.unsteady(judged, times, tries)
     run.conclude(case, {axis: judged}, best.heard)
-    return taken >= _AGREE
-
-
-def _count(shown: Counter[Finding], found: Finding) -> None:
-    """Count a finding, together with one that differs only in what could not be told."""
-    alike = next((known for known in shown if known.fits(found)), found)
-    times = shown.pop(alike, 0)
-    shown[max(alike, found, key=lambda finding: finding.told)] = times + 1
-
-
-def _second(shown: Counter[Finding]) -> int:
-    """How often the second most common finding was shown."""
-    return shown.most_common(2)[1][1] if len(shown) > 1 else 0
-
-
-def _may_be_noise(run: Run, shown: Counter[Finding], case: Case) -> bool:
-    """Whether spoilt bytes may be why a second finding was shown more than once."""
-    told = _told(shown)
-    second, tries = _second(told), sum(told.values())
-    if second < 2 or run.config.lossless or len(told) < len(shown):
-        return False  # where the link was too slow for a try, that is said instead
-    return not is_no_chance(run, case_bytes(case), second, tries)
-
-
-def _told(shown: Counter[Finding]) -> Counter[Finding]:
-    """The findings, without those for which the link was too slow to tell."""
-    return Counter({found: times for found, times in shown.items() if not found.coarse})
+    return taken >= AGREE
 
 
 def _judged(run: Run, best: Finding, case: Case) -> Axis:

@@ -314,8 +314,8 @@ def test_where_the_time_out_is_not_measured_twice_alike_pauses_inside_it_tell_no
     ("at", "verdict", "words"),
     [
         (1, FAIL, "zeroed in the first frames after power-on"),
-        (14, INCONCLUSIVE, "flaky: shown once in 4 tries"),
-        (15, INCONCLUSIVE, "flaky: shown once in 4 tries"),
+        (14, INCONCLUSIVE, "flaky, met once in 4 tries: "),
+        (15, INCONCLUSIVE, "flaky, met once in 4 tries: "),
     ],
 )
 def test_a_probe_that_showed_another_thing_once_is_inconclusive(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import msgspec
@@ -23,14 +23,21 @@ from bilprov.analyzer.client.operations import (
 )
 from bilprov.captures.schemas import Look
 from bilprov.conformance.api import Options, conform
-from bilprov.conformance.cases.case import Case
+from bilprov.conformance.cases.case import Case, case_of_the_run
 from bilprov.conformance.cases.levels import AnyCase
 from bilprov.conformance.dut.simulator import Event, Fault, React, Reaction, Simulator, answers
 from bilprov.conformance.dut.target import VirtualLink
 from bilprov.conformance.mutation.faults import fault_bank
-from bilprov.conformance.oracle.verdicts import CaseResult, Verdict, exit_code
-from bilprov.conformance.runner.retry import LONGEST_MINIMISED, Confirmed, confirm
-from bilprov.conformance.runner.run import Run
+from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, exit_code
+from bilprov.conformance.runner.retry import (
+    FEW,
+    LONGEST_MINIMISED,
+    Attempt,
+    Confirmed,
+    agree,
+    confirm,
+)
+from bilprov.conformance.runner.run import Run, result_of
 from bilprov.spec.protocol import Protocol
 from tests.support.faults import answers_with, drives_on, faulty, made, reacting, when
 from tests.support.robots import (
@@ -118,7 +125,7 @@ def test_what_fails_once_is_flaky_and_never_a_pass(
         result = only(judged(protocol, on_times(change, *times), case))
         if times[0] == 1:
             assert result.verdict is INCONCLUSIVE
-            assert "flaky, not reproduced in " in result.reason
+            assert "flaky, met once in " in result.reason
             assert FAIL not in {axis.verdict for axis in result.axes.values()}
         else:
             assert result.verdict is PASS  # it was sent once, and right
@@ -355,15 +362,20 @@ def test_only_a_few_walks_are_shortened_in_a_run_and_each_says_where(protocol: P
 def confirmed(run: Run, outcomes: str) -> Confirmed:
     """What is found where the tries fail (x) or not (.) in this order."""
     left: Iterator[str] = iter(outcomes)
+    case = case_of_the_run(run.protocol, "line/lost")
 
-    def fails() -> Procedure[bool]:
+    def tried(*, fails: bool) -> Attempt:
+        verdict = Verdict.FAIL if fails else Verdict.PASS
+        return Attempt(result_of(case, {"answer": Axis(verdict, "", "", "a reason")}))
+
+    def again() -> Procedure[Attempt]:
         yield from listen(None, 0)
-        return next(left) == "x"
+        return tried(fails=next(left) == "x")
 
     found: list[Confirmed] = []
 
     def procedure() -> Procedure[None]:
-        found.append((yield from confirm(run, 20, fails)))
+        found.append((yield from confirm(run, case, tried(fails=True), again, FEW)))
 
     drive(procedure(), CountingLink(Simulator(run.protocol)), lambda: False)
     return found[0]
@@ -389,7 +401,53 @@ def test_on_a_line_that_was_flaky_before_more_failures_are_needed(protocol: Prot
     run = new_run(protocol)
     run.counters.flaky, run.answers = 20, 2000
 
-    assert confirmed(run, "xxxxxx") == Confirmed(True, 6, 6)
+    assert confirmed(run, "xxx") == Confirmed(False, 3, 3)
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What an observation showed: a letter; x is a failure."""
+
+    word: str
+    coarse: str = ""
+
+    @property
+    def fault(self) -> bool:
+        return self.word == "x"
+
+    def fits(self, other: Shown) -> bool:
+        return self == other
+
+
+@pytest.mark.parametrize(
+    ("shown", "kinds"),
+    [
+        ("aa", ["aa"]),
+        ("xxx", ["xxx"]),
+        ("abaa", ["aaa", "b"]),
+        ("xaaa", ["aaa", "x"]),
+        ("abcdef", [*"abcdef"]),
+        ("abababab", ["aaaa", "bbbb"]),  # until noise does not explain that b came as well
+    ],
+)
+def test_what_is_observed_until_it_agrees_is_observed_more_often_where_it_differs_or_fails(
+    protocol: Protocol, shown: str, kinds: list[str]
+) -> None:
+    run, left = new_run(protocol), iter(shown)
+    found: list[str] = []
+
+    def observed() -> Procedure[Shown]:
+        yield from listen(None, 0)
+        return Shown(next(left))
+
+    def procedure() -> Procedure[None]:
+        outcomes = yield from agree(run, case_of_the_run(protocol, "line/lost"), observed)
+        found.extend("".join(one.word for one in kind) for kind in outcomes)
+
+    drive(procedure(), CountingLink(Simulator(protocol)), lambda: False)
+
+    assert found == kinds
+    assert next(left, "") == ""
 
 
 # -- stray answers ---------------------------------------------------------------------------------
