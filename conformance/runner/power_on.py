@@ -148,9 +148,14 @@ def _confirmed(
     run: Run, case: Case, first: Attempt, again: Callable[[], Procedure[Attempt]]
 ) -> Procedure[CaseResult]:
     """The result of a first exchange, made `again` where it failed: flaky if it may be noise."""
+
+    def attempt() -> Procedure[Attempt]:
+        tried = yield from again()
+        return first if tried.failed else tried  # it may fail in another way each time
+
     if not first.failed:
         return first.result
-    return (yield from confirm(run, case, first, again, FEW)).judged(run, first.result)
+    return (yield from confirm(run, case, first, attempt, FEW)).judged(run, first.result)
 
 
 def _answered(run: Run, case: Case, *, fresh: bool) -> Procedure[Attempt]:

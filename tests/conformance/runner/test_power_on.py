@@ -114,6 +114,28 @@ def test_a_first_instruction_that_was_lost_is_a_fault_where_another_power_on_sho
     assert lost.reason.endswith(reason)
 
 
+class Garbled(Simulator):
+    """Its first answer after each power-on is another byte, on a line that may lose some."""
+
+    lossless = False
+    wrong = bytes.fromhex("21 fe cd ab 3c ee da bf")
+
+    def power_cycle(self, now: int) -> None:
+        super().power_cycle(now)
+        self.fresh = True
+
+    def answer(self, code: int, at: int) -> None:
+        if self.fresh:
+            code, self.wrong, self.fresh = self.wrong[0], self.wrong[1:] + self.wrong[:1], False
+        super().answer(code, at)
+
+
+def test_a_first_answer_that_is_wrong_in_another_way_each_time_fails(protocol: Protocol) -> None:
+    found = verdicts(Garbled(protocol), protocol)
+
+    assert found["power-on/Speed"] is found["power-on/Forward"] is Verdict.FAIL
+
+
 class Other(Simulator):
     """Answers with the next bytes of a text instead of its codes: `each` bytes to each answer."""
 
