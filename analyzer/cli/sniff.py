@@ -42,7 +42,7 @@ from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.parts import said_of_parts
 from bilprov.captures.schemas import Line
-from bilprov.captures.text import quantity
+from bilprov.captures.text import printable, quantity
 from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import Protocol
 
@@ -163,7 +163,7 @@ def sniff(options: SniffOptions) -> int:
             shared.note(source.served)
         stack.callback(gc.unfreeze)
         stack.callback(gc.enable)
-        title = " ".join(f"{part} {name}" for part, name in source.names.items())
+        title = printable(" ".join(f"{part} {name}" for part, name in source.names.items()))
         chosen = Shown(Output(), test, options.shown.count)
         pipeline = Pipeline(StreamDecoder(protocol, **decoding), chosen, recorder, judge, BATCH)
 

@@ -129,7 +129,7 @@ def _instructions(counts: Json) -> Iterator[RenderableType]:
         if found["frames"]:
             answers, odd = sum(found["responses"].values()), sum(found["anomalies"].values())
             latency = _percentiles(found["latency"]) if found["latency"] else ("",) * 4
-            rows.append((printable(name), *map(_count, (found["frames"], answers, odd)), *latency))
+            rows.append((name, *map(_count, (found["frames"], answers, odd)), *latency))
     columns = ("instruction", "frames", "answers", "odd", "median/ms", "p95", "p99", "max")
     yield from _table(columns, rows)
 
@@ -139,7 +139,7 @@ def _responses(counts: Json) -> Iterator[RenderableType]:
     pairs = {
         name: (counts["expected"].get(name, 0), counts["responses"].get(name, 0)) for name in names
     }
-    rows = [(printable(name), *map(_count, pair)) for name, pair in pairs.items() if any(pair)]
+    rows = [(name, *map(_count, pair)) for name, pair in pairs.items() if any(pair)]
     yield from _table(("response", "expected", "given"), rows)
 
 
@@ -148,7 +148,7 @@ def _anomalies(counts: Json) -> Iterator[RenderableType]:
     rows = []
     for kind, count in counts["anomalies"].items():
         found = [count, *(by.get(kind, 0) for by in sides.values())]
-        rows.append((printable(kind), *map(_count, found)))
+        rows.append((kind, *map(_count, found)))
     yield from _table(("anomaly", "count", *sides), rows)
 
 

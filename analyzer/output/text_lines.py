@@ -20,7 +20,6 @@ from bilprov.analyzer.decode.records import (
     Severity,
     severity_of,
 )
-from bilprov.captures.text import printable
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.replies import usual_way
 from bilprov.spec.state import State
@@ -89,8 +88,8 @@ class LineRenderer:
             return f"{self._time(record.t)} {text}{latency}{why}".rstrip()
         if isinstance(record, LineRecord) and not record.faults:
             line = record.value
-            detail = f": {printable(line.detail)}" if line.detail else ""
-            what = f"{line.tap} line {printable(line.event)}{detail}".lstrip()
+            detail = f": {line.detail}" if line.detail else ""
+            what = f"{line.tap} line {line.event}{detail}".lstrip()
             return f"{self._time(record.t)} - {what}"
         fault = record.faults[0]
         words = f"{fault.kind}: {fault.reason}"

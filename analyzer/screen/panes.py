@@ -43,13 +43,13 @@ def figures(totals: Totals, live: Rates | None, byte_time: int, width: int) -> l
             whose = f"{look.sign} {kinds.total():,} from the {side or 'line'}"
             lines += [Text(), Text(whose, look.style)]
         for kind, count in kinds.most_common(_KINDS):
-            lines.append(Text(f"  {printable(kind)}: {count:,}", "dim"))
+            lines.append(Text(f"  {kind}: {count:,}", "dim"))
     lines.append(Text())
     said = {name: said for name, said in totals.instructions().items() if said.frames}
     digits = max((len(f"{one.frames:,}") for one in said.values()), default=0)
     for name, one in said.items():
         late = f"{_ms(one.latencies.median)} ms" if one.latencies else ""
-        line = Text(printable(name), "dim")
+        line = Text(name, "dim")
         line.truncate(width - digits - _LATE - 1, overflow="ellipsis", pad=True)
         lines.append(line.append(f" {one.frames:>{digits},}{late:>{_LATE}}"))
     return lines
@@ -136,7 +136,7 @@ def head_line(
     """
     left = Text(f"/ {printable(expression)}  " if expression else "", "bold cyan", end="")
     protocol = feed.recording.protocol
-    grammar = f" · {printable(protocol.name)} {printable(protocol.version)} · {told.line}"
+    grammar = f" · {protocol.name} {protocol.version} · {told.line}"
     left = Text.assemble(left, (printable(told.title), "bold"), (grammar, "dim"))
     if feed.captured:
         left.append(f"  {RECORDS} {printable(feed.captured)}")

@@ -24,6 +24,7 @@ from bilprov.analyzer.transport.port import Forward, Openings, Port, open_port, 
 from bilprov.analyzer.transport.replug import LOOK_AGAIN, Place
 from bilprov.captures.closing import Closing
 from bilprov.captures.schemas import MS, Chunk, Direction, Line
+from bilprov.captures.text import printable
 from bilprov.captures.wall_clock import wall_clock
 from bilprov.spec.protocol import Protocol
 
@@ -202,7 +203,7 @@ class Source(Closing):
             self._counts[tap] = port.error_counts()
             found = {**self._ports, tap: port}
             self._ports = {side: found[side] for side in SIDES if side in found}
-            events.append(Line(self.now(), "reconnected", tap, f"{name} is there again"))
+            events.append(Line(self.now(), "reconnected", tap, f"{printable(name)} is there again"))
 
     def _count(self, events: Events) -> None:
         """Append events for new driver errors, at most every 0.1 s; few drivers count errors."""
