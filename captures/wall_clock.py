@@ -20,8 +20,11 @@ def wall_clock(clock: Callable[[], int] = time.time_ns) -> int:
         return LATEST
 
 
-LONGEST: Final = 1 << 62
-"""The most ns before and after a capture's start; a time beyond it is taken for this."""
+LONGEST: Final = (1 << 62) - 1
+"""The most ns before and after a capture's start; a time beyond it is taken for this.
+
+That is 146 years. The sum and the difference of two such times fit into 64 bits.
+"""
 
 
 def since(start: int, log_time: int) -> int:

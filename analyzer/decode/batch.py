@@ -6,6 +6,7 @@ them in order. A record (`records`) is one row as an object. Who decoded the row
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -40,9 +41,6 @@ INSTRUCTION, TRUNCATED, GARBAGE = range(3)
 
 NO_VERDICT = len(OUTCOMES)
 """In a column of verdicts (places in `OUTCOMES`): bytes that are no frame."""
-
-LATEST = 1 << 62
-"""The latest time (ns) in columns: some time later still fits into 64 bits. It is 146 years."""
 
 
 class Selection(NamedTuple):
@@ -286,8 +284,9 @@ class Batch(ABC):
 
     def inside(self, first: int | None, after: int | None) -> Selection:
         """The rows with `first <= t < after` (ns; None: no bound)."""
-        low, high = -LATEST if first is None else first, LATEST + 1 if after is None else after
         sides = (self.hosts.t, self.devices.t, self.others.t)
+        low = -math.inf if first is None else first
+        high = math.inf if after is None else after
         return Selection(*((t >= low) & (t < high) for t in sides))
 
     @cached_property
@@ -418,8 +417,8 @@ class Records(Batch):
 
 
 def times(values: Sequence[int]) -> NDArray[np.int64]:
-    """Times (ns) as an array; what no clock shows is cut off at `LATEST`."""
-    return np.array([min(max(value, -LATEST), LATEST) for value in values], np.int64)
+    """Times (ns) as an array."""
+    return np.array(values, np.int64)
 
 
 def sliced(

@@ -156,7 +156,6 @@ _LONGEST = 4_000  # characters of a text that a foreign capture may make long
 
 
 def _block(packet: Packet, wall: int) -> bytes:
-    wall = min(max(wall, 0), _LATEST)  # the times of a forged capture may be any
     seconds, rest = divmod(wall, 1_000_000_000)
     front = _RTAC_FRONT.pack(seconds & 0xFFFFFFFF, rest // 1000, packet.event, 0, 0)
     data = front + packet.data

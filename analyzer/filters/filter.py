@@ -17,6 +17,7 @@ from bilprov.analyzer.filters.fields import Field, Instant, Kind, Value, folded
 from bilprov.analyzer.filters.masks import DATE, TIME_OF_DAY, Operand, Test
 from bilprov.analyzer.filters.syntax import TEXTS, Part, octets_of, parse, refuse, refuse_part
 from bilprov.captures.text import near
+from bilprov.captures.wall_clock import LONGEST
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
@@ -333,9 +334,6 @@ def _among(sign: Part, operand: Operand, elements: Sequence[Test]) -> Test:
     return masks.joined([masks.alike(operand, "==", operand), masks.negated(among)], True)
 
 
-_LATEST = 1 << 62  # ns since 1970; with a recording's length it still fits into 64 bits
-
-
 class Filter(NamedTuple):
     """A compiled filter.
 
@@ -352,7 +350,7 @@ class Filter(NamedTuple):
 
         A start that no clock shows (0 or less, or after the year 2116) counts as unknown.
         """
-        return self._replace(start=start_wall if 0 < start_wall < _LATEST else None)
+        return self._replace(start=start_wall if 0 < start_wall < LONGEST else None)
 
     def selection(self, batch: Batch) -> Selection:
         """Which rows of a batch pass."""

@@ -25,7 +25,7 @@ from bilprov.analyzer.transport.replug import LOOK_AGAIN, Place
 from bilprov.captures.closing import Closing
 from bilprov.captures.schemas import MS, Chunk, Direction, Line
 from bilprov.captures.text import printable
-from bilprov.captures.wall_clock import wall_clock
+from bilprov.captures.wall_clock import LONGEST, wall_clock
 from bilprov.spec.protocol import Protocol
 
 Events: TypeAlias = list[Chunk | Line]
@@ -33,7 +33,6 @@ Events: TypeAlias = list[Chunk | Line]
 SIDES: Final[tuple[Direction, ...]] = ("host", "device")
 
 LATE = 250_000_000  # ns; a reader that comes so much too late does not know when the bytes came
-FOREVER = 1 << 62  # ns
 _COUNT_EVERY = 100_000_000  # ns between readings of a driver's error counts
 GATHERED = 30_000_000  # ns of a busy line that are handled at once: shown, that is still now
 _BUSY = 120  # bytes in that time: with fewer each read is handled at once
@@ -118,7 +117,7 @@ class Source(Closing):
             timeout_s = wait if timeout_s is None else min(timeout_s, wait)
         if missing or not self.ended:
             self._gather(events, timeout_s, also)
-            timeout = FOREVER if timeout_s is None else round(timeout_s * 1e9)
+            timeout = LONGEST if timeout_s is None else round(timeout_s * 1e9)
             self._note_unread(events, 0, asked, timeout)
             if events:
                 self._read_on(events, most, also)

@@ -342,3 +342,14 @@ def test_a_good_device_is_good_though_the_sniffer_was_stopped(
     assert findings["unread"] >= STOPPED * 1e9
     assert any(isinstance(e, Line) and e.event == "waited" for e in open_capture(path))
     assert json_lines(replayed(path, "--judge").stdout)[-1] == findings
+
+
+def test_the_name_of_a_port_prints(tmp_path: Path) -> None:
+    link = tmp_path / "a\x1b[2Jb"
+    with open_pty() as pair:
+        link.symlink_to(pair.name)
+        done = commands.process("sniff", str(link), "--duration", "0.1", "--format", "lines")
+
+    assert done.returncode == 0
+    assert b"a\\x1b[2Jb" in done.stdout
+    assert b"\x1b" not in done.stdout + done.stderr
