@@ -151,7 +151,7 @@ _USER_APPLICATION = 4  # of a section
 _NAME, _DESCRIPTION, _SPEED, _RESOLUTION = 2, 3, 8, 9  # of an interface
 _PACKET_FRONT = struct.Struct("<5I")
 _RTAC_FRONT = struct.Struct(">IIBBH")
-_LATEST = (1 << 64) - 1  # ns
+_MOST = (1 << 64) - 1  # of 64 bits
 _LONGEST = 4_000  # characters of a text that a foreign capture may make long
 
 
@@ -187,7 +187,7 @@ def _interface(capture: Capture, protocol: Protocol, tap: str) -> bytes:
         + _options(
             (_NAME, tap.encode()),
             (_DESCRIPTION, _utf8(f"{port}, {line}" if port else str(line))),
-            (_SPEED, struct.pack("<Q", line.baud & _LATEST)),
+            (_SPEED, struct.pack("<Q", line.baud & _MOST)),
             (_RESOLUTION, bytes([9])),  # 10^-9 s
         ),
     )
