@@ -82,11 +82,13 @@ class Exchange:
 
     Times are in ns: `start` and `end` those of its first and last byte, `pauses` those inside it
     as (how many bytes stand before it, how long), `gap` from the frame before to its header (None
-    after power-on). `ahead` is how many frames before it were not answered yet. `before` and
-    `after` are the states of a conforming device, `accepted` its answers, `watched` how long (ns)
-    it was then looked at. `unbroken` is how long (ns) the line was listened to from its first
-    answer until the next frame came. `settled` are the facets of the state that were right after
-    it, `right` those that it has certainly made right, `deviations` those that were wrong.
+    after power-on). `ahead` is how many frames before it were not answered yet, `in_one_go` how
+    many bytes were sent up to its last without waiting for an answer. `before` and `after` are the
+    states of a conforming device, `accepted` its answers, `watched` how long (ns) it was then
+    looked at. `unbroken` is how long (ns) the line was listened to from its first answer until the
+    next frame came, `looked` whether the device was looked at before that. `settled` are the facets
+    of the state that were right after it, `right` those that it has certainly made right,
+    `deviations` those that were wrong.
     """
 
     case: str
@@ -97,6 +99,7 @@ class Exchange:
     pauses: tuple[tuple[int, int], ...]
     gap: int | None
     ahead: int
+    in_one_go: int
     history: History
     previous: Exchange | None
     before: ExpectedState
@@ -104,6 +107,7 @@ class Exchange:
     accepted: frozenset[int | None] = frozenset()
     watched: int = 0
     unbroken: int = 0
+    looked: bool = False
     codes: tuple[tuple[int, int], ...] = ()
     right: set[str] = field(default_factory=set)
     settled: set[str] = field(default_factory=set)
@@ -299,6 +303,7 @@ class Exchanges:
             self._pauses,
             self._held_start - self._over if self._previous else None,
             max(0, len(self._burst) - len(self._answers)),
+            len(data) + (self._burst[-1].in_one_go if self._burst else 0),
             self._counts,
             self._previous,
             self._expected,
@@ -483,7 +488,7 @@ class Exchanges:
         different = {id(look): look for _, look in looks}  # the trace keeps equal ones once
         deviating = {key: self._deviating(look) for key, look in different.items()}
         found = [deviating[id(look)] for _, look in looks]
-        burst[-1].watched = looks[-1][0] - since
+        burst[-1].watched, burst[-1].looked = looks[-1][0] - since, True
         for facet in sorted(facets - self._unknown_facets()):
             wrong = [facet in deviating for deviating in found]
             if facet == MOTION and not any(wrong) and not speed:

@@ -155,9 +155,16 @@ def _of_delivery() -> Iterator[Feature]:
     yield Feature("sent ahead", lambda e: "sent ahead" if e.ahead else "not sent ahead", "{}", 2)
     ahead = "with {} frames before it not answered yet"
     yield Feature("ahead", lambda e: e.ahead, ahead, 3, grows=True)
+    in_one_go = "with {} bytes sent in one go"
+    yield Feature("in one go", lambda e: e.in_one_go, in_one_go, 3, grows=True)
+    yield Feature("looked", _looked, "{}", 3)
     yield Feature("split", lambda e: "sent in pieces" if e.pauses else "sent in one piece", "{}", 2)
     yield Feature("pause", lambda e: e.pause // MS, "with a pause of {} ms inside", 5)
     yield Feature("gap", lambda e: e.gap and e.gap // MS, "{} ms after the frame before", 5)
+
+
+def _looked(exchange: Exchange) -> str | None:
+    return "until the next frame" if exchange.looked else None
 
 
 def _of_history(protocol: Protocol) -> Iterator[Feature]:

@@ -41,7 +41,7 @@ _SETTLED = 20 * MS
 """How long (ns) a device has for a change after its last answer, before it is looked at again."""
 _SILENT = 3
 """Frames without an answer, one after the other, until each next one is waited for only shortly."""
-_DELIVERY = {"ahead", "sent ahead", "split", "pause", "gap"}
+_DELIVERY = {"ahead", "in one go", "sent ahead", "split", "pause", "gap"}
 """Features that only frames sent by their times, and not by their answers, show..."""
 _USUAL = {"sent in one piece", "not sent ahead"}
 """...but for these values of theirs."""

@@ -40,9 +40,9 @@ class Runner:
 
     `measure` has the truncation time-out measured even if no case needs it, `discover` has the
     device's choices found out. `spare` is called before each case with its id and the results so
-    far, and returns whether to skip it. `afterwards` is done when all are judged, if the line still
-    works. `unusable` says why the line could not be used at all,
-    `ended` what ended the run early.
+    far, and returns whether to skip it. `afterwards` is done when all are judged or the time is
+    over, if the line still works. `unusable` says why the line could not be used at all, `ended`
+    what ended the run early.
     """
 
     def __init__(
@@ -83,7 +83,8 @@ class Runner:
             self._not_run(Verdict.INCONCLUSIVE, str(ended))
         run.release(str(self.ended or ""))
         run.strays.close(keeps_all=run.keeps_all)
-        if self.ended is None and self._afterwards and not self.unusable:
+        as_planned = self.ended is None or self.ended.by == "time"
+        if as_planned and self._afterwards and not self.unusable:
             try:
                 yield from self._afterwards()
             except Ended as ended:
