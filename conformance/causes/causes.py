@@ -96,6 +96,15 @@ class Cause:
         shown = [one for one in relations if one.predict and one.differs(exchange)]
         return {one.facet: one.predict(exchange) for one in shown if one.predict}
 
+    @property
+    def takes_data(self) -> bool:
+        """Whether the device takes data bytes for frames: then others begin elsewhere, too."""
+        return any(effect.takes_data for effect in self.effects)
+
+    def unread(self, exchanges: Iterable[Exchange]) -> set[int]:
+        """Return the headers behind which the device takes the data bytes for frames."""
+        return {e.step.frame[0] for e in exchanges if self.takes_data and matches(self.rule, e)}
+
     def foresees(self, exchange: Exchange) -> bool:
         """Return whether it takes in an exchange and would show there."""
         differs = any(effect.relation.differs(exchange) for effect in self.effects)
@@ -106,14 +115,14 @@ def fewest_causes(
     features: Sequence[Feature],
     exchanges: Exchanges,
     failed: Container[str],
-    again: Callable[[Known], Exchanges],
+    again: Callable[[Known, Container[int]], Exchanges],
 ) -> list[Cause]:
     """Find the fewest and simplest causes of the deviations in the failed cases.
 
     What a device makes of a frame may stay unseen, so that a second fault shows in another state
     than is expected, or does not show. So where there are several, the simplest causes that nothing
     contradicts are taken as known in turn: `again` gives the exchanges with what the device is then
-    known to make of them.
+    known to make of them. Which bytes of those are frames changes where it takes data for such.
     """
 
     def found(of: Exchanges, bags: Iterable[Bag]) -> list[Cause]:
@@ -123,13 +132,38 @@ def fewest_causes(
     causes = found(exchanges, exchanges.bags)
     certain = _certain(causes)[:_TAKEN] if len(causes) > 1 else []
     for cause in certain:
-        known = again(cause.made)
+        unread = cause.unread(exchanges.all)
+        known = again(cause.made, unread)
         others = found(known, (bag for bag in known.bags if not cause.explains(bag)))
+        if unread:
+            left = {bag.exchanges[0].case for bag in known.bags}
+            cause, others = _behind_data(cause, others, exchanges, left)
         solution = [cause, *others]
         as_many = len(_cases(solution)) >= len(_cases(causes))
         if as_many and _complexity(solution) < _complexity(causes):
             return solution
     return causes
+
+
+def _behind_data(
+    cause: Cause, others: Sequence[Cause], exchanges: Exchanges, left: Container[str]
+) -> tuple[Cause, list[Cause]]:
+    """The cause that data are taken for frames with what that brought about, and the others.
+
+    What came of the frames in the data is no deviation of its own, in the cases that have none
+    `left`. How they filled a device's memory is not known: a few deviations in cases with such
+    frames are no cause beside it.
+    """
+    within = {e.case for e in exchanges.all if matches(cause.rule, e)}
+    few = max(_FEW, _FEW_SHARE * len(within))
+    apart = [other for other in others if len(other.cases) > few or not other.cases <= within]
+    explained = _cases(apart)
+    gone = [
+        bag
+        for bag in exchanges.bags
+        if (case := bag.exchanges[0].case) not in left or (case in within and case not in explained)
+    ]
+    return replace(cause, consequences=gone), apart
 
 
 def _cases(causes: Iterable[Cause]) -> set[str]:
@@ -144,12 +178,13 @@ def _complexity(causes: Sequence[Cause]) -> tuple[int, int]:
 
 def _certain(causes: Sequence[Cause]) -> list[Cause]:
     """The causes of a wrong state whose deviations no other one explains, the simplest first."""
-    certain = [
-        cause
-        for cause in causes
-        if any(e.relation.facet != ANSWER and e.relation.predict for e in cause.effects)
-        and all(cause.kinds.isdisjoint(other.kinds) for other in causes if other is not cause)
-    ]
+    certain = []
+    for cause in causes:
+        others = [other for other in causes if other is not cause]
+        alone = all(cause.kinds.isdisjoint(other.kinds) for other in others)
+        wrong = any(e.relation.facet != ANSWER and e.relation.predict for e in cause.effects)
+        if cause.takes_data or (alone and wrong):
+            certain.append(cause)
     return sorted(certain, key=lambda cause: _cost(cause.rule))
 
 
@@ -165,7 +200,7 @@ def find_causes(
     table = Table(features, [*clean, *(e for bag in wrong for e in bag.exchanges)])
     effects = sorted(_effects(wrong, clean), key=lambda effect: -len(effect.bags))[:_EFFECTS]
     causes: list[Cause] = []
-    for effect in sorted(effects, key=lambda effect: -effect.evidence):
+    for effect in sorted(effects, key=lambda effect: (not effect.takes_data, -effect.evidence)):
         simplest = sorted(causes, key=lambda cause: _cost(cause.rule))
         if not any(_joined(table, cause, effect) for cause in simplest):
             causes += _causes(table, effect, _resumed(effect, clean))
@@ -292,8 +327,10 @@ def _one_rule(table: Table, effects: Sequence[Effect]) -> Rule | None:
     groups = [group for effect in effects for group in effect.groups]
     against = list({id(e): e for effect in effects for e in effect.against}.values())
     learner = cache(lambda most: Learner(table, most, groups, against))
+    # Where data are frames, answers to them may look like more of a frame behind.
+    shares = (0.9,) if any(effect.takes_data for effect in effects) else (1.0, 0.97)
     for tiers in (TIERS[:-1], TIERS[-1:]):
-        for share in (1.0, 0.97):
+        for share in shares:
             for most in tiers:
                 rule = learner(most).one_rule(share)
                 if rule is not None and len(rule) <= _LITERALS:

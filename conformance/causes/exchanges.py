@@ -7,14 +7,14 @@ frame hides is no evidence for it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from typing import NamedTuple
 
 from bilprov.analyzer.client.operations import Observation, Received, Send
 from bilprov.captures.schemas import MS, Look
-from bilprov.conformance.cases.steps import Step, step_of
+from bilprov.conformance.cases.steps import FrameClass, Step, step_of
 from bilprov.conformance.causes.trace import Done, Event, Mark
 from bilprov.conformance.oracle.judge import differences, facets_of_motion
 from bilprov.conformance.oracle.sight import facets_of
@@ -88,7 +88,8 @@ class Exchange:
     looked at. `unbroken` is how long (ns) the line was listened to from its first answer until the
     next frame came, `looked` whether the device was looked at before that. `settled` are the facets
     of the state that were right after it, `right` those that it has certainly made right,
-    `deviations` those that were wrong.
+    `deviations` those that were wrong. `as_frames` gives the answers due to bytes that a device
+    takes for frames of their own.
     """
 
     case: str
@@ -104,6 +105,7 @@ class Exchange:
     previous: Exchange | None
     before: ExpectedState
     after: ExpectedState
+    as_frames: AsFrames
     accepted: frozenset[int | None] = frozenset()
     watched: int = 0
     unbroken: int = 0
@@ -168,6 +170,7 @@ class Timing(NamedTuple):
     longest: int
 
 
+AsFrames = Callable[[bytes], "set[tuple[int | None, ...]]"]
 Known = Callable[[Exchange], Mapping[str, "int | str | None"]]
 
 
@@ -178,18 +181,25 @@ def _nothing(exchange: Exchange) -> Mapping[str, int | str | None]:
 class Exchanges:
     """The exchanges of a trace, and the bags of those that deviate from the model.
 
-    `known` gives what a device is known to make of an exchange, besides the model, by facet.
+    `known` gives what a device is known to make of an exchange, besides the model, by facet;
+    `unread` are the headers whose data bytes it is known to take for frames of their own.
     """
 
     def __init__(
-        self, model: Model, events: Iterable[Event], timing: Timing, known: Known = _nothing
+        self,
+        model: Model,
+        events: Iterable[Event],
+        timing: Timing,
+        known: Known = _nothing,
+        unread: Container[int] = (),
     ) -> None:
         self.all: list[Exchange] = []
-        self._known = known
+        self._known, self._unread = known, unread
         self.bags: list[Bag] = []
         self._model, self._car = model, model.protocol.car
         self._of_motion = facets_of_motion(model.protocol)
         self._judged = cache(partial(judge, model.protocol))
+        self._as_frames = cache(self._answers_to)
         self.timing = timing
         self._timeout, self._byte_time, self._longest = timing
         self._stop_longest = int(model.protocol.timing.stop_longest * MS)
@@ -266,7 +276,8 @@ class Exchanges:
                 self._pauses += ((len(self._held), at - self._held_end),)
             self._held += bytes([byte])
             self._held_end = at
-            if len(self._held) > self._model.protocol.lengths[self._held[0]]:
+            header = self._held[0]
+            if header in self._unread or len(self._held) > self._model.protocol.lengths[header]:
                 self._frame()
 
     def _settled(self, now: int) -> bool:
@@ -291,7 +302,9 @@ class Exchanges:
 
     def _frame(self) -> None:
         protocol, data = self._model.protocol, self._held
-        self._held = b""
+        sent, self._held = len(data), b""
+        if data[0] in self._unread:
+            data += bytes(protocol.lengths[data[0]])  # what they would be does not matter
         judgement = self._judged(data)
         step = step_of(protocol, data)
         exchange = Exchange(
@@ -303,11 +316,12 @@ class Exchanges:
             self._pauses,
             self._held_start - self._over if self._previous else None,
             max(0, len(self._burst) - len(self._answers)),
-            len(data) + (self._burst[-1].in_one_go if self._burst else 0),
+            sent + (self._burst[-1].in_one_go if self._burst else 0),
             self._counts,
             self._previous,
             self._expected,
             self._expected,
+            self._as_frames,
         )
         row, times, last = self._counts
         points = (p.id for p in open_after(protocol, step.frame_effect.effect).values())
@@ -451,6 +465,27 @@ class Exchanges:
         chosen = [a for a in step.accepted[1:] if a.word == word]
         return {next(iter(a.codes), None) for a in (chosen or step.accepted[:1])}
 
+    def _answers_to(self, data: bytes) -> set[tuple[int | None, ...]]:
+        """The answers that may come where these bytes are taken for frames.
+
+        Those with a header that is never right take the data it announces, or none. The answer to a
+        last one that is cut short may not have come yet.
+        """
+        protocol, ways = self._model.protocol, set()
+        for skipped in ((), (FrameClass.UNUSED_ID, FrameClass.WRONG_LENGTH)):
+            codes: list[int | None] = []
+            left = data
+            while left:
+                size = 1 + protocol.lengths[left[0]]
+                if step_of(protocol, left[:size].ljust(size, b"\0")).kind in skipped:
+                    size = 1
+                if len(left) < size:
+                    ways.add(tuple(codes))
+                codes.append(next(iter(self._accepted(step_of(protocol, left[:size])))))
+                left = left[size:]
+            ways.add(tuple(codes))
+        return ways
+
     def _chosen(self, step: Step) -> bool:
         """Whether the right answer is known from this very device, as a choice of its own."""
         return bool(step.point) and self._model.choices.differs(step.point)
@@ -467,7 +502,7 @@ class Exchanges:
         if codes[0] not in accepted:
             return Deviation(ANSWER, "other", expected, codes[0])
         if len(codes) > 1:
-            return Deviation(ANSWER, "extra", expected, len(codes))
+            return Deviation(ANSWER, "extra", expected, f"{len(codes)} answers")
         if self._comes_late(exchange, exchange.codes[0]):
             late = exchange.codes[0][0] - exchange.end
             return Deviation(ANSWER, "late", expected, late // MS)

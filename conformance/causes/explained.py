@@ -199,7 +199,7 @@ def _shown(protocol: Protocol, seen: Deviation | None) -> str:
     if seen.how == "late":
         return f"the answer came after {seen.seen} ms"
     if seen.how == "extra":
-        return f"{seen.seen} answers, {due} once"
+        return f"{seen.seen}, {due} once"
     return f"answered {_code(protocol, seen.seen)}, {due}"
 
 

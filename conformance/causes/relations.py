@@ -20,6 +20,9 @@ from bilprov.conformance.causes.exchanges import (
     value_of,
 )
 
+READS_DATA = "takes its data bytes for frames"
+_MOST = 0.5
+"""The share of clear deviations that a relation for them must explain."""
 RESUMES = "is again what it was before the fault"
 Value = int | str | None
 Predict = Callable[[Exchange], Value]
@@ -100,6 +103,11 @@ class Effect:
         return replace(self, only_setters=True)
 
     @property
+    def takes_data(self) -> bool:
+        """Whether data bytes are taken for frames, so that others begin elsewhere, too."""
+        return self.relation.words == READS_DATA
+
+    @property
     def keeps_moving(self) -> bool:
         """Whether the device moves where it must stand: what matters most."""
         return any(bag.keeps_moving for bag in self.bags)
@@ -132,7 +140,11 @@ def relations(bags: Sequence[Bag]) -> list[tuple[Relation, list[Bag]]]:
     return found
 
 
-def _of_answers(how: str, bags: Iterable[Bag]) -> list[Relation]:
+def _of_answers(how: str, bags: Sequence[Bag]) -> list[Relation]:
+    running = Relation(ANSWER, how, READS_DATA, _running)
+    clear = [bag for bag in bags if _clear(bag.exchanges[-1])] if how == "extra" else []
+    if clear and sum(map(running.explains, clear)) > _MOST * len(clear):
+        return [running]
     if how != "other":
         words = {
             "silent": "gives no answer",
@@ -146,6 +158,26 @@ def _of_answers(how: str, bags: Iterable[Bag]) -> list[Relation]:
         *(Relation(ANSWER, how, f"answers {code:#04x}", lambda e, c=code: c) for code, _ in codes),  # type: ignore[misc]
         Relation(ANSWER, how, "answers what was due to the frame before", _due_before),
     ]
+
+
+def _clear(exchange: Exchange) -> bool:
+    """Whether no answer can be that to a frame before."""
+    before = exchange.previous
+    return not exchange.ahead and (before is None or bool(before.right and not before.deviations))
+
+
+def _running(exchange: Exchange) -> Value:
+    """How many answers come where its data bytes are taken for frames, None where no more do.
+
+    Nor is it known where an answer may be that to a frame before.
+    """
+    if exchange.step.truncated or not _clear(exchange):
+        return None
+    ways = exchange.as_frames(exchange.step.frame[1:])
+    more = tuple(code for _, code in exchange.codes[1:])
+    if all(ways) or (more and more in ways):
+        return f"{1 + (len(more) if more in ways else max(map(len, ways)))} answers"
+    return None
 
 
 def _instead(facet: str, how: str, bags: Iterable[Bag]) -> Iterator[Relation]:

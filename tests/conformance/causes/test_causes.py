@@ -92,6 +92,7 @@ NAMED = [
     ("answers-fault-again-after-15-ms", "answer", "answers more than once", "a faulty frame"),
     ("runs-on-after-fault-in-a-burst", "stop", "moves again as before the fault",
      "a frame that leaves its motion, sent ahead"),
+    ("runs-data-of-too-long", "answer", "takes its data bytes for frames", "too many data bytes"),
     ("random:84.88", "state", "is turning a wheel wrongly", "steering 248 or more to either side"),
     ("mixture:R-rotate-steering=reset-and-drives-straight:by-frame", "state",
      "steering stays as it was", "at one in 2 of the moving frames"),
@@ -148,6 +149,23 @@ def test_answers_that_others_overtake_are_late_and_no_other_cause(protocol: Prot
 def test_each_frame_more_than_a_device_has_room_for_is_one_cause(protocol: Protocol) -> None:
     [cause] = report_of(protocol, find_fault(protocol, "queue-of-2-frames")).causes
     assert cause.when == "any frame, with 2 or more frames before it not answered yet"
+
+
+def test_what_a_device_has_no_room_for_is_counted_in_bytes(protocol: Protocol) -> None:
+    [cause] = report_of(protocol, find_fault(protocol, "buffer-of-16-bytes")).causes
+    assert cause.when.startswith("any frame, with 18 or more bytes sent in one go")
+
+
+def test_a_value_that_comes_one_frame_late_is_one_cause(protocol: Protocol) -> None:
+    def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+        state, due = reaction.state, late.pop("led", None)
+        if state.led != event.before.led:
+            late["led"] = state.led
+        return replace(reaction, state=state.but(led=event.before.led if due is None else due))
+
+    late: dict[str, int] = {}
+    [cause] = report_of(protocol, Fault("led-late", "", "", react=react)).causes
+    assert cause.sentence.startswith("led stays as it was after LED, until the next frame (")
 
 
 @pytest.mark.slow
