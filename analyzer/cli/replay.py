@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from bilprov.analyzer.replay.comparison import Exchanges
     from bilprov.analyzer.replay.target import Target
 
-_NOT_JUDGED = 3  # the exit code where nothing is wrong, and not all could be compared or judged
-
 
 class ReplayOptions(msgspec.Struct, frozen=True):
     """The options of `replay`."""
@@ -75,20 +73,18 @@ def replay(options: ReplayOptions) -> int:
 
     With --to the host's bytes between --start and --end go to a device too, with their recorded
     timing (at --rate 0 each frame when the one before is answered), and every answer that differs
-    from the recorded one is reported: exit code 1 if there is any, 2 if not all of it could be
-    shown, 3 if nothing was compared: the recording holds no answers, or Ctrl-C or another signal
-    ended it. It is also 1 if the device does not answer the stops at the end.
+    from the recorded one is reported: exit code 1 if there is any, 3 if the recording holds no
+    answers. It is also 1 if the device does not answer the stops at the end.
 
     With --judge the recorded device is judged: a table at the end (with --format jsonl a last
     object of kind judgement) shows which parts of the document the traffic covered and what
-    contradicts it; exit code 1 if anything does, 2 if not all of it could be shown, 3 if nothing
-    does in the part before Ctrl-C or another signal ended it.
+    contradicts it; exit code 1 if anything does, 2 if not all of it could be shown.
     """
     if options.shown.judged and options.port is not None:
         raise click.UsageError("--judge judges the recorded device; for one at --to, use sniff")
     if options.shown.count is not None and options.port is not None:
         raise click.UsageError("--count counts the frames shown; with --to, --duration ends it")
-    if options.shown.judged or options.port is not None:
+    if options.shown.judged:
         promise_verdict()
     return _Replay(options).done()
 
@@ -156,11 +152,7 @@ class _Replay:
             return 0
         from bilprov.analyzer.output.findings import tell_findings
 
-        code = tell_findings(judge.finish(), self.style)
-        if not stopper.stopped:
-            return code
-        shared.note("stopped before the end: what comes after was not judged")
-        return code or _NOT_JUDGED
+        return tell_findings(judge.finish(), self.style)
 
     def require_allowed(self, port: str) -> None:
         """Refuse what may not be sent, or ask; before Ctrl-C is taken over, which ends that."""
@@ -249,7 +241,7 @@ class _Replay:
         if target.answered_stops:
             return code
         shared.note(UNANSWERED_STOPS)
-        return 1
+        return code or 1
 
     def send(self, target: Target, pipeline: Pipeline, recorded: Exchanges) -> None:
         """Send what the host sent, at its times; at the rate 0 each frame by itself."""
@@ -286,10 +278,10 @@ class _Replay:
             shared.note_suspension(stopper)
             count = quantity(len(now.instructions()), "instruction")
             shared.note(f"stopped after {count}, nothing was compared")
-            return _NOT_JUDGED
+            return 0
         if not any(one.answer for one in sent.values()):
             shared.note("the recording holds no answers: there is nothing to compare with")
-            return _NOT_JUDGED
+            return 3
         found = list(differences(self.protocol, recorded, now))
         for fault in found:
             pipeline.shown.output.show(Records([FaultRecord(fault, self.protocol.power_on)]))

@@ -12,7 +12,6 @@ from msgspec.structs import replace
 
 from bilprov.analyzer.cli.command import asked_here, command, protocol_in_use
 from bilprov.analyzer.cli.options import SENDING_LINE, above_latency, only_for_ports
-from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.transport.line_settings import timeout_in_ns
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.conformance.cli.shell.options import SendOptions
@@ -41,10 +40,9 @@ def send(options: SendOptions) -> int:
     Exit code: 0 each instruction was answered, and as some reading of the document allows; 1 an
     answer is missing, is not a code of the grammar or is not allowed, bytes came without an
     instruction, or not all was done, for example because it drove too long (--max-drive) or a pause
-    was cut short; 2 the port cannot be used, nobody answers, an ITEM is not valid, or not all could
-    be shown: the device then does the rest all the same. Driving by hand on a terminal: 0.
+    was cut short; 2 the port cannot be used, nobody answers, or an ITEM is not valid. Driving by
+    hand on a terminal: 0.
     """
-    promise_verdict()
     protocol, target, items = protocol_in_use(), options.target, options.items
     settings = options.line.settings(protocol)
     timeout = above_latency(timeout_in_ns(protocol, options.truncation_timeout), target)

@@ -21,6 +21,7 @@ from bilprov.analyzer.cli.options import (
     note_suspension,
     require_reading,
 )
+from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.cli.typed_input import bytes_or_pause, meant
 from bilprov.analyzer.client.probes import NONE, Probe, open_probe
 from bilprov.analyzer.decode.records import HostRecord, Record
@@ -70,11 +71,13 @@ def send_items(
     if options.only_reading:
         require_reading(protocol, frames)
     planned = len(frames)
-    if expectations and len(expected) != planned:
-        raise click.UsageError(
-            f"--expect names {len(expected)} and {planned} should be answered: name one for "
-            f"each instruction, {_NO_ANSWER} where no answer should come"
-        )
+    if expectations:
+        promise_verdict()
+        if len(expected) != planned:
+            raise click.UsageError(
+                f"--expect names {len(expected)} and {planned} should be answered: name one for "
+                f"each instruction, {_NO_ANSWER} where no answer should come"
+            )
     output, run, check = opened_output(style, protocol), Exchanges(), AnswerCheck()
     opened = _opened(port, settings, wait=wait)
     if opened is None:
