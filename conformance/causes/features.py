@@ -174,6 +174,8 @@ def _of_history(protocol: Protocol) -> Iterator[Feature]:
     yield Feature("previous fault", _of_previous(_fault), "sent after {}", 2)
     named = _of_previous(lambda before: before.judgement.name)
     yield Feature("previous instruction", named, "sent after {}, right or wrong", 4)
+    moved = "with the frame before it sent while it {}"
+    yield Feature("moving before the previous", _of_previous(_moved), moved, 3)
     for name in (name for name, spec in protocol.variables.items() if spec.words):
         words = f"with the frame before it sent while {name} is {{}}"
         yield Feature(f"{name} before the previous", _of_previous(_before(name)), words, 3)

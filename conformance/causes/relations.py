@@ -203,7 +203,7 @@ def _of_values(facet: str, how: str, bags: Sequence[Bag]) -> list[Relation]:
     seen = Counter(bag.deviation.seen for bag in bags).most_common(3)
     if facet == MOTION:
         found += [Relation(facet, how, f"is {v}", _moving_as(v), v) for v, _ in seen]
-        return [*found, *_instead(facet, how, bags)]
+        return [*found, *_instead(facet, how, bags), resuming(facet, how)]
     found += [Relation(facet, how, f"is {value}", lambda e, v=value: v) for value, _ in seen]  # type: ignore[misc]
     return found + [
         Relation(facet, how, words, _changed(facet, change)) for words, change in _changes(bags)

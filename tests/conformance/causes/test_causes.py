@@ -92,6 +92,7 @@ NAMED = [
     ("answers-fault-again-after-15-ms", "answer", "answers more than once", "a faulty frame"),
     ("runs-on-after-fault-in-a-burst", "stop", "moves again as before the fault",
      "a frame that leaves its motion, sent ahead"),
+    ("restarts-on-led-after-a-fault", "stop", "moves again as before the fault", "LED"),
     ("runs-data-of-too-long", "answer", "takes its data bytes for frames", "too many data bytes"),
     ("random:84.88", "state", "is turning a wheel wrongly", "steering 248 or more to either side"),
     ("mixture:R-rotate-steering=reset-and-drives-straight:by-frame", "state",
