@@ -132,29 +132,26 @@ def fewest_causes(
     causes = found(exchanges, exchanges.bags)
     certain = _certain(causes)[:_TAKEN] if len(causes) > 1 else []
     for cause in certain:
-        unread = cause.unread(exchanges.all)
-        known = again(cause.made, unread)
+        known = again(cause.made, cause.unread(exchanges.all))
         others = found(known, (bag for bag in known.bags if not cause.explains(bag)))
-        if unread:
-            left = {bag.exchanges[0].case for bag in known.bags}
-            cause, others = _behind_data(cause, others, exchanges, left)
-        solution = [cause, *others]
+        left = {bag.exchanges[0].case for bag in known.bags}
+        solution = _with_consequences(cause, others, exchanges, left)
         as_many = len(_cases(solution)) >= len(_cases(causes))
         if as_many and _complexity(solution) < _complexity(causes):
             return solution
     return causes
 
 
-def _behind_data(
-    cause: Cause, others: Sequence[Cause], exchanges: Exchanges, left: Container[str]
-) -> tuple[Cause, list[Cause]]:
-    """The cause that data are taken for frames with what that brought about, and the others.
+def _with_consequences(
+    known: Cause, others: Sequence[Cause], exchanges: Exchanges, left: Container[str]
+) -> list[Cause]:
+    """The known cause with what it has brought about, and the others.
 
-    What came of the frames in the data is no deviation of its own, in the cases that have none
-    `left`. How they filled a device's memory is not known: a few deviations in cases with such
+    That is what deviates no more in cases that have no deviation `left`. Where data are taken for
+    frames, it is not known how they filled a device's memory: a few deviations in cases with such
     frames are no cause beside it.
     """
-    within = {e.case for e in exchanges.all if matches(cause.rule, e)}
+    within = {e.case for e in exchanges.all if known.takes_data and matches(known.rule, e)}
     few = max(_FEW, _FEW_SHARE * len(within))
     apart = [other for other in others if len(other.cases) > few or not other.cases <= within]
     explained = _cases(apart)
@@ -163,7 +160,7 @@ def _behind_data(
         for bag in exchanges.bags
         if (case := bag.exchanges[0].case) not in left or (case in within and case not in explained)
     ]
-    return replace(cause, consequences=gone), apart
+    return [replace(known, consequences=gone), *apart]
 
 
 def _cases(causes: Iterable[Cause]) -> set[str]:
@@ -177,11 +174,15 @@ def _complexity(causes: Sequence[Cause]) -> tuple[int, int]:
 
 
 def _certain(causes: Sequence[Cause]) -> list[Cause]:
-    """The causes of a wrong state whose deviations no other one explains, the simplest first."""
+    """The causes of a wrong state whose deviations no other one explains, the simplest first.
+
+    A few more, which others seem to explain, may be what such a cause has brought about.
+    """
     certain = []
     for cause in causes:
-        others = [other for other in causes if other is not cause]
-        alone = all(cause.kinds.isdisjoint(other.kinds) for other in others)
+        few = _FEW_SHARE * len(cause.cases)
+        alike = [one for one in causes if not cause.kinds.isdisjoint(one.kinds)]
+        alone = all(one is cause or len(one.cases) < few for one in alike)
         wrong = any(e.relation.facet != ANSWER and e.relation.predict for e in cause.effects)
         if cause.takes_data or (alone and wrong):
             certain.append(cause)
