@@ -280,7 +280,7 @@ def _against(relation: Relation, bags: Sequence[Bag], clean: Sequence[Exchange])
 
 def _joined(table: Table, cause: Cause, effect: Effect) -> bool:
     """Add an effect to a cause if one rule explains both; return whether it does."""
-    if _explains(cause.rule, effect.at_setters()):
+    if _explains(cause.rule, effect.at_setters()) or _comes_with(cause, effect):
         cause.effects.append(effect)
         return True
     both = [*cause.effects, effect]
@@ -294,6 +294,16 @@ def _joined(table: Table, cause: Cause, effect: Effect) -> bool:
         return False
     cause.rule, cause.effects = rule, both
     return True
+
+
+def _comes_with(cause: Cause, effect: Effect) -> bool:
+    """Whether an effect shows at the frames at which the cause does, and nowhere else."""
+    shown = {id(e) for one in cause.effects for group in one.groups for e in group}
+    alone = sum(not any(id(e) in shown for e in group) for group in effect.groups)
+    if alone > _FEW_LEFT * len(effect.bags):
+        return False
+    against = [e for e in effect.against if all(one.relation.differs(e) for one in cause.effects)]
+    return _explains(cause.rule, replace(effect, against=against))
 
 
 def _apart(cause: Cause, effect: Effect) -> bool:
