@@ -280,8 +280,12 @@ def _against(relation: Relation, bags: Sequence[Bag], clean: Sequence[Exchange])
 
 def _joined(table: Table, cause: Cause, effect: Effect) -> bool:
     """Add an effect to a cause if one rule explains both; return whether it does."""
-    if _explains(cause.rule, effect.at_setters()) or _comes_with(cause, effect):
+    if _explains(cause.rule, effect.at_setters()):
         cause.effects.append(effect)
+        return True
+    beside = _beside(cause, effect)
+    if beside and _explains(cause.rule, beside):
+        cause.effects.append(beside)
         return True
     both = [*cause.effects, effect]
     if _apart(cause, effect):
@@ -296,14 +300,14 @@ def _joined(table: Table, cause: Cause, effect: Effect) -> bool:
     return True
 
 
-def _comes_with(cause: Cause, effect: Effect) -> bool:
-    """Whether an effect shows at the frames at which the cause does, and nowhere else."""
+def _beside(cause: Cause, effect: Effect) -> Effect | None:
+    """The effect as one that shows only where the cause does, None if it does so at others."""
     shown = {id(e) for one in cause.effects for group in one.groups for e in group}
     alone = sum(not any(id(e) in shown for e in group) for group in effect.groups)
     if alone > _FEW_LEFT * len(effect.bags):
-        return False
+        return None
     against = [e for e in effect.against if all(one.relation.differs(e) for one in cause.effects)]
-    return _explains(cause.rule, replace(effect, against=against))
+    return replace(effect, against=against)
 
 
 def _apart(cause: Cause, effect: Effect) -> bool:

@@ -131,6 +131,27 @@ def test_one_cause_names_what_goes_wrong_and_when(
     assert cause.tried
 
 
+@pytest.mark.sample(1)
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "only", "told"),
+    [
+        ("no-stop-on-too-many-while-rotate-right", ("combined/waited/*",),
+         "does not stop and steering stays as it was after too many data bytes"),
+        ("mixture:R-led-state=off:by-motion", ("combined/*", "valid/*"),
+         "led stays as it was after a frame that stops it"),
+    ],
+)  # fmt: skip
+def test_what_a_cause_brings_about_is_no_other_cause(
+    protocol: Protocol, name: str, only: tuple[str, ...], told: str
+) -> None:
+    device = Simulator(protocol, find_fault(protocol, name))
+    report = conform(device, options=Options(level="standard", only=only))
+    [cause] = report.causes
+    assert cause.sentence.startswith(told)
+    assert cause.others == report.unexplained == 0
+
+
 @pytest.mark.slow
 def test_a_wrong_answer_behind_which_it_does_not_stop_keeps_it_moving(protocol: Protocol) -> None:
     bank = fault_bank(protocol)
