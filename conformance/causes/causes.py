@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterable, Sequence
+from collections.abc import Callable, Container, Iterable, Sequence, Set
 from dataclasses import dataclass, field, replace
 from functools import cache
 
@@ -114,15 +114,16 @@ class Cause:
 def fewest_causes(
     features: Sequence[Feature],
     exchanges: Exchanges,
-    failed: Container[str],
+    failed: Set[str],
     again: Callable[[Known, Container[int]], Exchanges],
 ) -> list[Cause]:
     """Find the fewest and simplest causes of the deviations in the failed cases.
 
     What a device makes of a frame may stay unseen, so that a second fault shows in another state
-    than is expected, or does not show. So where there are several, the simplest causes that nothing
-    contradicts are taken as known in turn: `again` gives the exchanges with what the device is then
-    known to make of them. Which bytes of those are frames changes where it takes data for such.
+    than is expected, or does not show. So where there are several causes, or one leaves failures,
+    the simplest that nothing contradicts are taken as known in turn: `again` gives the exchanges
+    with what the device is then known to make of them. Which bytes of those are frames changes
+    where it takes data for such.
     """
 
     def found(of: Exchanges, bags: Iterable[Bag]) -> list[Cause]:
@@ -130,14 +131,15 @@ def fewest_causes(
         return [cause for cause in causes if any(case in failed for case in cause.cases)]
 
     causes = found(exchanges, exchanges.bags)
-    certain = _certain(causes)[:_TAKEN] if len(causes) > 1 else []
-    for cause in certain:
+    if len(causes) == 1 and failed <= _cases(causes):
+        return causes
+    for cause in _certain(causes)[:_TAKEN]:
         known = again(cause.made, cause.unread(exchanges.all))
         others = found(known, (bag for bag in known.bags if not cause.explains(bag)))
         left = {bag.exchanges[0].case for bag in known.bags}
         solution = _with_consequences(cause, others, exchanges, left)
-        as_many = len(_cases(solution)) >= len(_cases(causes))
-        if as_many and _complexity(solution) < _complexity(causes):
+        more = len(_cases(solution) & failed) - len(_cases(causes) & failed)
+        if more >= 0 and (_complexity(solution), -more) < (_complexity(causes), 0):
             return solution
     return causes
 

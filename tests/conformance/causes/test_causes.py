@@ -173,6 +173,15 @@ def test_each_frame_more_than_a_device_has_room_for_is_one_cause(protocol: Proto
     assert cause.when == "any frame, with 2 or more frames before it not answered yet"
 
 
+def test_frames_behind_those_whose_data_are_taken_for_frames_have_that_cause(
+    protocol: Protocol,
+) -> None:
+    report = report_of(protocol, find_fault(protocol, "runs-data-of-id-12"))
+    [cause] = report.causes
+    assert cause.when == "unknown ID, with ID 12"
+    assert report.unexplained <= 1
+
+
 def test_what_a_device_has_no_room_for_is_counted_in_bytes(protocol: Protocol) -> None:
     [cause] = report_of(protocol, find_fault(protocol, "buffer-of-16-bytes")).causes
     assert cause.when.startswith("any frame, with 18 or more bytes sent in one go")
