@@ -101,9 +101,9 @@ class Cause:
         """Whether the device takes data bytes for frames: then others begin elsewhere, too."""
         return any(effect.takes_data for effect in self.effects)
 
-    def unread(self, exchanges: Iterable[Exchange]) -> set[int]:
-        """Return the headers behind which the device takes the data bytes for frames."""
-        return {e.step.frame[0] for e in exchanges if self.takes_data and matches(self.rule, e)}
+    def misread(self, exchanges: Iterable[Exchange]) -> list[Exchange]:
+        """Return the frames whose data bytes the device takes for frames, if that is the cause."""
+        return [e for e in exchanges if matches(self.rule, e)] if self.takes_data else []
 
     def foresees(self, exchange: Exchange) -> bool:
         """Return whether it takes in an exchange and would show there."""
@@ -134,10 +134,12 @@ def fewest_causes(
     if len(causes) == 1 and failed <= _cases(causes):
         return causes
     for cause in _certain(causes)[:_TAKEN]:
-        known = again(cause.made, cause.unread(exchanges.all))
+        misread = cause.misread(exchanges.all)
+        known = again(cause.made, {exchange.step.frame[0] for exchange in misread})
         others = found(known, (bag for bag in known.bags if not cause.explains(bag)))
         left = {bag.exchanges[0].case for bag in known.bags}
-        solution = _with_consequences(cause, others, exchanges, left)
+        within = {exchange.case for exchange in misread}
+        solution = _with_consequences(cause, others, exchanges.bags, left, within)
         more = len(_cases(solution) & failed) - len(_cases(causes) & failed)
         if more >= 0 and (_complexity(solution), -more) < (_complexity(causes), 0):
             return solution
@@ -145,21 +147,24 @@ def fewest_causes(
 
 
 def _with_consequences(
-    known: Cause, others: Sequence[Cause], exchanges: Exchanges, left: Container[str]
+    known: Cause,
+    others: Sequence[Cause],
+    bags: Iterable[Bag],
+    left: Container[str],
+    within: Set[str],
 ) -> list[Cause]:
     """The known cause with what it has brought about, and the others.
 
     That is what deviates no more in cases that have no deviation `left`. Where data are taken for
-    frames, it is not known how they filled a device's memory: a few deviations in cases with such
-    frames are no cause beside it.
+    frames, it is not known how they filled a device's memory: a few deviations in the cases
+    `within` which there are such frames are no cause beside it.
     """
-    within = {e.case for e in exchanges.all if known.takes_data and matches(known.rule, e)}
     few = max(_FEW, _FEW_SHARE * len(within))
     apart = [other for other in others if len(other.cases) > few or not other.cases <= within]
     explained = _cases(apart)
     gone = [
         bag
-        for bag in exchanges.bags
+        for bag in bags
         if (case := bag.exchanges[0].case) not in left or (case in within and case not in explained)
     ]
     return [replace(known, consequences=gone), *apart]
