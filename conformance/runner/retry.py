@@ -24,7 +24,7 @@ from bilprov.conformance.cases.case import Case, OrderCase, steps_to
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
 from bilprov.conformance.runner.homing import home_after, was_too_slow
-from bilprov.conformance.runner.run import Homed, Run, Trial, result_of
+from bilprov.conformance.runner.run import SPOILT, Homed, Run, Trial, result_of
 from bilprov.conformance.runner.sequence import Mismatch, run_sequence
 from bilprov.conformance.runner.single_frame import run_single_frame
 from bilprov.conformance.runner.waiting import GaveUp
@@ -344,7 +344,7 @@ def reproducer(run: Run, case: SequenceCase) -> str:
 # `confirm` tries a failure again until its number is no chance, `agree` observes something unknown
 # until its outcomes are enough alike; both by one likelihood, `is_no_chance`.
 
-_SPOILT, _UNLIKELY = 1e-3, 1e-4  # share of bytes that noise may spoil; what is no chance
+_UNLIKELY = 1e-4  # what is no chance
 _FRAME = 3  # bytes on the line for a frame, its answer included, at least
 _ENOUGH = 20  # failures: more make nothing surer
 _SINGLE = 20  # bytes of a single-frame case's preamble and recovery
@@ -484,7 +484,7 @@ def is_no_chance(run: Run, size: int, differed: int, tries: int) -> bool:
     """
     flaky = run.counters.flaky
     met = 2 * flaky / max(1, _FRAME * run.answers)
-    spoilt = 1 - (1 - min(max(_SPOILT, met), 1.0)) ** size
+    spoilt = 1 - (1 - min(max(SPOILT, met), 1.0)) ** size
     return at_least(differed, tries, spoilt) * (1 + flaky) < _UNLIKELY
 
 

@@ -10,10 +10,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from itertools import islice
+from math import sqrt
 
 import msgspec
 
-from bilprov.analyzer.client.operations import Ended, Operation, Received, Reconnected, Reply
+from bilprov.analyzer.client.operations import (
+    Ended,
+    Operation,
+    Received,
+    Reconnected,
+    Reply,
+    Send,
+)
 from bilprov.captures.schemas import Look
 from bilprov.conformance.cases.adaptation import on_the_wire
 from bilprov.conformance.cases.case import Case, case_of_the_run
@@ -33,9 +41,11 @@ from bilprov.spec.readings import FLUSH_POINTS, POINTS
 
 Answers = tuple[tuple[int, int], ...]
 
+SPOILT = 1e-3
+"""Share of the bytes on a line that noise may spoil."""
+
 _STRAYS = 3  # stray answers at once: so many are no noise but a failure of the device
-_SEVERAL = 5  # of them in a run, beyond what noise may make of all its frames
-_NOISE = 2e-3  # of frames: an instruction and its answer, each doubled once in a thousand times
+_SEVERAL = 5  # of them in a run, beyond what noise may make of all its bytes
 
 
 class StrayAnswers:
@@ -43,7 +53,8 @@ class StrayAnswers:
 
     A single stray or lost byte may be noise on the line: inconclusive. A flood or repeated stray
     answers are the device's failure, and so is a device that stops answering; on a lossless line
-    so is every one. The more answers came so far, the more of them noise may have doubled.
+    so is every one. The more bytes went over the line so far, the more of them noise may have
+    spoilt: four standard deviations above their number are no chance.
     """
 
     def __init__(self, run: Run) -> None:
@@ -57,7 +68,8 @@ class StrayAnswers:
         """Record answers, as (time in ns, code), that no instruction asked for."""
         came = tuple(answers)
         self._strays.append((came, reason))
-        many = len(self._strays) >= _SEVERAL + _NOISE * self._run.answers
+        spoilt = SPOILT * self._run.bytes
+        many = len(self._strays) >= _SEVERAL + spoilt + 4 * sqrt(spoilt)
         if self._lossless or many or len(came) >= _STRAYS:
             self._end_strays(certain=many or len(came) >= _STRAYS)
 
@@ -232,8 +244,9 @@ class Run:
     `limit` ends the run where it takes too long.
 
     `profile` holds what was measured of the device, `strays` the answers that belong to no case,
-    `results` every final result in order, `answers` how many came, `sight` what the looks have
-    shown, `followed` the settings that the probe has shown to follow.
+    `results` every final result in order, `answers` how many came, `bytes` how many went over the
+    line both ways, `sight` what the looks have shown, `followed` the settings that the probe has
+    shown to follow.
     """
 
     def __init__(
@@ -254,6 +267,7 @@ class Run:
         self.line = CoarseLine(config.protocol, self.waiting, self.profile)
         self.counters = Counters()
         self.answers = 0
+        self.bytes = 0
         self.sight = Sight(config.protocol)
         self.limit = TimeLimit(config.announced)
         self.followed: set[str] = set()
@@ -299,9 +313,12 @@ class Run:
         return not loses and self.profile.truncation_answered is not False
 
     def did(self, operation: Operation, reply: Reply) -> None:
-        """Take note of an operation that was done: of the answers that came."""
+        """Take note of an operation that was done: of the bytes sent, and of the answers that came."""
+        if isinstance(operation, Send):
+            self.bytes += len(operation.data)
         if isinstance(reply, Received):
             self.answers += len(reply.answers)
+            self.bytes += len(reply.answers)
 
     def answered(self, frame: bytes, heard: Received, sent: int) -> None:
         """Take note of how soon the answer to a valid frame came, which had gone at `sent` (ns)."""

@@ -458,20 +458,23 @@ def told(run: Run) -> list[tuple[str, Verdict]]:
 
 
 @pytest.mark.parametrize(
-    ("unasked", "missing", "keeps_all", "results", "words"),
+    ("on_line", "unasked", "missing", "keeps_all", "results", "words"),
     [
-        ([], [], True, [], ""),
-        ([1], [], True, [("line/unsolicited", INCONCLUSIVE)], "once"),
-        ([1, 1], [], True, [("line/unsolicited", INCONCLUSIVE)], "2 times"),
-        ([1] * 5, [], True, [("line/unsolicited", FAIL)], "came"),
-        ([3], [], True, [("line/unsolicited", FAIL)], "came"),
-        ([1, 5], [], True, [("line/unsolicited", FAIL)], "came"),
-        ([], [1, 0, 15], True, [("line/lost", INCONCLUSIVE)], "16 times"),
-        ([], [3], False, [], ""),  # it may lose what follows a fault
+        (0, [], [], True, [], ""),
+        (0, [1], [], True, [("line/unsolicited", INCONCLUSIVE)], "once"),
+        (0, [1, 1], [], True, [("line/unsolicited", INCONCLUSIVE)], "2 times"),
+        (0, [1] * 5, [], True, [("line/unsolicited", FAIL)], "came"),
+        (0, [3], [], True, [("line/unsolicited", FAIL)], "came"),
+        (5_000, [1] * 18, [], True, [("line/unsolicited", INCONCLUSIVE)], "18 times"),
+        (5_000, [1] * 19, [], True, [("line/unsolicited", FAIL)], "came"),
+        (0, [1, 5], [], True, [("line/unsolicited", FAIL)], "came"),
+        (0, [], [1, 0, 15], True, [("line/lost", INCONCLUSIVE)], "16 times"),
+        (0, [], [3], False, [], ""),  # it may lose what follows a fault
     ],
 )
-def test_three_bytes_at_once_or_five_in_all_are_the_devices_and_fewer_may_be_the_lines(
+def test_three_at_once_or_more_in_all_than_noise_makes_are_the_devices(
     protocol: Protocol,
+    on_line: int,
     unasked: list[int],
     missing: list[int],
     keeps_all: bool,
@@ -479,6 +482,7 @@ def test_three_bytes_at_once_or_five_in_all_are_the_devices_and_fewer_may_be_the
     words: str,
 ) -> None:
     run = new_run(protocol)
+    run.bytes = on_line
     for count in unasked:
         run.strays.unexpected([(number, 0) for number in range(count)], "came")
     for count in missing:
