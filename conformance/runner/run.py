@@ -313,7 +313,7 @@ class Run:
         return not loses and self.profile.truncation_answered is not False
 
     def did(self, operation: Operation, reply: Reply) -> None:
-        """Take note of an operation that was done: of the bytes sent, and of the answers that came."""
+        """Take note of an operation that was done: of the bytes that went over the line."""
         if isinstance(operation, Send):
             self.bytes += len(operation.data)
         if isinstance(reply, Received):
