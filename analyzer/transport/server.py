@@ -121,6 +121,7 @@ def open_words(listener: socket.socket, reach: str) -> str:
 
 _LONGEST = 1024  # bytes of a request of a probe client: one that sends a longer one is closed
 _DIGITS = 15  # of the number of a question
+_MOST_PROBES = 200  # clients of the probe; their descriptors stay below what select can wait for
 _LINGER = 3_000_000_000  # ns after the last byte: so long a host that ended its sending is answered
 
 
@@ -157,8 +158,9 @@ def serve(
     `pty` asks for a pty; `listen` and `probe_listen` are addresses like `127.0.0.1:0` (port 0
     takes a free one). `announce` gets one line for each once all are open: the pty's path,
     `socket://HOST:PORT`, `probe tcp:HOST:PORT`. Answers go to the host that sent last. `note` gets
-    a sentence for an address that other machines reach. `reset` is called with the time (ns) each
-    time a host opens the pty or connects, before its first byte.
+    a sentence for an address that other machines reach, and when the probe has all clients that it
+    takes. `reset` is called with the time (ns) each time a host opens the pty or connects, before
+    its first byte.
 
     Raises ValueError for an invalid address or when there is nothing to serve; LinkError for a pty
     or an address that is not available.
@@ -166,7 +168,7 @@ def serve(
     if not pty and listen is None:
         raise ValueError("nothing to serve: ask for a pty or an address to listen on")
     with contextlib.ExitStack() as stack:
-        server = stack.enter_context(Server(device, stop, clock, reset))
+        server = stack.enter_context(Server(device, stop, clock, reset, note))
         lines = []
         if pty:
             pair = stack.enter_context(open_pty())
@@ -176,7 +178,7 @@ def serve(
             lines.append(pair.name)
         for address, prefix, reach, take in (
             (listen, "socket://", "drive the robot", server.take_host),
-            (probe_listen, "probe tcp:", "read what the robot does", server.probes.append),
+            (probe_listen, "probe tcp:", "read what the robot does", server.take_probe),
         ):
             if address is not None:
                 listener = stack.enter_context(listening(address))
@@ -203,6 +205,7 @@ class Server(Closing):
     stop: Stopper
     clock: Callable[[], int]
     reset: Callable[[int], None] | None = None
+    note: Callable[[str], None] = lambda _: None
     openings: Openings | None = None  # of the pty
     speaker: Peer | None = None
     last: int = 0
@@ -245,6 +248,15 @@ class Server(Closing):
         self.hosts.append(peer)
         if self.reset:
             self.reset(self.clock())
+
+    def take_probe(self, peer: Peer) -> None:
+        """Take a client of the probe; refuse one too many."""
+        if len(self.probes) == _MOST_PROBES:
+            peer.close()
+            return
+        self.probes.append(peer)
+        if len(self.probes) == _MOST_PROBES:
+            self.note(f"the probe has {_MOST_PROBES} clients: more are refused until one leaves")
 
     def close(self) -> None:
         """Close every connection; the listeners belong to `serve`."""

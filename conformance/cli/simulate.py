@@ -84,9 +84,9 @@ def simulate(options: SimulateOptions) -> int:
     crash is reported at once; until the next reset the firmware then stays served as a device that
     does not answer, and the exit code is 2 if it ends so.
 
-    One host at a time is served over TCP; a second is closed. A host that does not read loses what
-    exceeds 64 KiB, and so does a client of the probe. 127.0.0.1 is this machine alone; an address
-    that others reach comes with a warning.
+    One host at a time is served over TCP, and 200 clients of the probe; more are closed. A host
+    that does not read loses what exceeds 64 KiB, and so does a client of the probe. 127.0.0.1 is
+    this machine alone; an address that others reach comes with a warning.
 
     Exit code: 0 after Ctrl-C or SIGTERM.
     """

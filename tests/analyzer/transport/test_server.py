@@ -320,3 +320,17 @@ def test_a_signal_ends_the_command_cleanly(number: signal.Signals) -> None:
     assert (code, out) == (0, b"")
     assert err.decode().splitlines() == [f"{address.removeprefix('socket://')} {warning}"]
     assert pty.startswith("/dev/")
+
+
+def test_a_client_of_the_probe_too_many_is_refused_and_the_others_are_served() -> None:
+    with running("simulate", "--probe-listen", ANY) as command, ExitStack() as stack:
+        room = Served([command.stdout.readline().decode().strip() for _ in range(2)])
+        probes = [stack.enter_context(room.connected()) for _ in range(200)]
+        with room.connected() as refused:
+            assert until_closed(refused) == b""
+        probes.pop().close()
+        probes.append(stack.enter_context(room.connected()))
+        assert [ask(probe)["moving"] for probe in probes] == [False] * 200
+        code, _, err = command.end(signal.SIGTERM)
+    sentence = "the probe has 200 clients: more are refused until one leaves"
+    assert (code, err.decode().splitlines()) == (0, [sentence] * 2)
