@@ -78,7 +78,8 @@ def replay(options: ReplayOptions) -> int:
 
     With --judge the recorded device is judged: a table at the end (with --format jsonl a last
     object of kind judgement) shows which parts of the document the traffic covered and what
-    contradicts it; exit code 1 if anything does, 2 if not all of it could be shown.
+    contradicts it; exit code 1 if anything does, 2 if not all of it could be shown, 3 if nothing
+    does and Ctrl-C ended it.
     """
     if options.shown.judged and options.port is not None:
         raise click.UsageError("--judge judges the recorded device; for one at --to, use sniff")
@@ -152,7 +153,9 @@ class _Replay:
             return 0
         from bilprov.analyzer.output.findings import tell_findings
 
-        return tell_findings(judge.finish(), self.style)
+        findings = judge.finish()
+        findings.stopped = stopper.stopped
+        return tell_findings(findings, self.style)
 
     def require_allowed(self, port: str) -> None:
         """Refuse what may not be sent, or ask; before Ctrl-C is taken over, which ends that."""

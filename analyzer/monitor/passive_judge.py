@@ -153,7 +153,8 @@ class Findings(msgspec.Struct):
     robot that a faulty instruction had stopped. `not_judged` counts by reason. `violations` counts
     by kind; the first ones are `listed`. `readings` counts, by reading, the answers that are legal
     although the kit reads the document otherwise; for a grammar without readings, by what is odd
-    about them. `unread` is for how long (ns) nothing was read.
+    about them. `unread` is for how long (ns) nothing was read. `stopped` is true where a recording
+    was not judged to its end.
     """
 
     instructions: int = 0
@@ -165,11 +166,12 @@ class Findings(msgspec.Struct):
     readings: Counter[str] = msgspec.field(default_factory=Counter)
     coverage: tuple[Covered, ...] = ()
     listed: list[Violation] = []
+    stopped: bool = False
 
     @property
     def exit(self) -> int:
-        """1 if there was a violation, else 0."""
-        return 1 if self.violations else 0
+        """1 if there was a violation, else 3 where not all was judged that was to be, else 0."""
+        return 1 if self.violations else 3 if self.stopped else 0
 
 
 class PassiveJudge:

@@ -1,12 +1,13 @@
 """Shows the findings of the passive judge: a table on standard error, or one JSON object.
 
 The object is the last line of `--format jsonl` and has `kind` "judgement". Its other keys:
-`exit` (1 if there was a violation), `instructions`, `judged` (those whose answer was judged),
+`exit` (1 if there was a violation, else 3 where a recording was not judged to its end, else 0),
+`instructions`, `judged` (those whose answer was judged),
 `looks`, `unread` (for how many ns nothing was read),
 `not_judged` (how many for which reason), `coverage` (each `clause`, `what`, `done` out of
 `of`), `violations` (how many of each kind), `readings` (how often another legal reading was met, or
-what is odd but legal),
-and `listed`: the first 20 violations, each `t` (s since the start), `kind`, `clause`, `reading`,
+what is odd but legal), `stopped` (whether a recording was not judged to its end), and `listed`: the
+first 20 violations, each `t` (s since the start), `kind`, `clause`, `reading`,
 `reason`, `instruction` (its sequence).
 """
 
@@ -49,6 +50,8 @@ def sentences(findings: Findings) -> Iterator[str]:
         yield f"not observed: {findings.unread / 1e9:.1f} s, in which nothing was read"
     for reason, count in findings.not_judged.items():
         yield f"not judged: {count} ({reason})"
+    if findings.stopped:
+        yield "not judged: the rest of the recording, because the replay was stopped"
     for reading, count in findings.readings.items():
         what = "another legal reading of" if reading.startswith("R-") else "legal, but"
         yield f"{what} {reading}: {count}"

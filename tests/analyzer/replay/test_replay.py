@@ -62,6 +62,23 @@ def test_a_frame_decided_by_silence_is_shown_while_a_slow_replay_waits_and_ctrl_
     assert (code, err) == (0, b"")
 
 
+def test_a_recording_that_is_not_judged_to_its_end_conforms_no_more_than_it_was_judged(
+    capture: Write,
+) -> None:
+    path = capture(
+        [
+            Chunk(0, "host", b"\x20"),
+            Chunk(MS, "device", b"\0"),
+            Chunk(3600_000 * MS, "host", b"\0"),
+        ]
+    )
+    with running("replay", str(path), "--judge", "--format", "jsonl") as command:
+        assert [json_lines(command.stdout.readline())[0]["kind"] for _ in range(2)]
+        code, out, _ = command.end()
+    findings = json_lines(out)[-1]
+    assert (code, findings["exit"], findings["stopped"], findings["judged"]) == (3, 3, True, 1)
+
+
 @pytest.mark.parametrize("rate", ["0", "1"])
 def test_a_device_that_answers_as_recorded_is_fine(
     capture: Write, protocol: Protocol, rate: str
