@@ -544,7 +544,7 @@ def load(source: str, origin: str = "grammar") -> Protocol:
             what = error.msg.partition(" (")[0]  # without the path of the module's file
         raise GrammarError(
             f"the grammar {origin} does not load: {type(error).__name__}: "
-            f"{one_line(what, _LONGEST)}{where}; start from what `bilprov spec emit grammar` writes"
+            f"{_words(what)}{where}; start from what `bilprov spec emit grammar` writes"
         ) from error
     try:
         _require_each_id_once(tree)
@@ -554,9 +554,14 @@ def load(source: str, origin: str = "grammar") -> Protocol:
         raise GrammarError(f"{unusable}{error}{_declared_in(source, str(error))}") from None
     except Exception as error:  # construct raises many kinds for declarations that make no sense
         raise GrammarError(
-            f"{unusable}{one_line(error, _LONGEST)}; "
-            "compare it with what `bilprov spec emit grammar` writes"
+            f"{unusable}{_words(error)}; compare it with what `bilprov spec emit grammar` writes"
         ) from error
+
+
+def _words(why: object) -> str:
+    """Why a text is no grammar, in words; Python's own for a long number are about its settings."""
+    words = one_line(why, _LONGEST)
+    return "a number has too many digits" if "integer string conversion" in words else words
 
 
 def _line(error: BaseException, origin: str) -> str:

@@ -11,7 +11,12 @@ import msgspec
 
 from bilprov.analyzer.cli import options as shared
 from bilprov.analyzer.cli.command import argument, command, protocol_in_use
-from bilprov.analyzer.cli.command_files import force_option, require_writable, write_output
+from bilprov.analyzer.cli.command_files import (
+    STANDARD_OUTPUT,
+    force_option,
+    require_writable,
+    write_output,
+)
 from bilprov.analyzer.cli.typed_input import decoded_chunks, file_or_bytes, recorded_chunks
 from bilprov.analyzer.decode.decoded_share import DecodedShare, decoded_share
 from bilprov.analyzer.grammar_file import SHIPPED, dissector_program, load_protocol, not_carried
@@ -42,15 +47,18 @@ class ReadingsOptions(FormatOption, frozen=True):
 class EmitOption(msgspec.Struct, frozen=True):
     """Where the grammar is written."""
 
-    output: str = shared.output_option(
-        metavar="FILE", default="-", help="The file to write; standard output if left out."
+    output: str | None = shared.output_option(
+        metavar="FILE", help="The file to write; standard output if left out."
     )
     force: bool = force_option()
 
     def write(self, text: str) -> None:
         """Write a text there. Raises UsageError, or UserError, if it cannot be written."""
         require_writable([("-o", self.output)], force=self.force)
-        write_output(self.output, text.encode())
+        write_output(self.output or STANDARD_OUTPUT, text.encode())
+
+
+_FORCED = {"output": ("force",)}
 
 
 class GrammarOptions(EmitOption, frozen=True):
@@ -146,7 +154,7 @@ def errata(options: FormatOption) -> None:
     show_as(options.style, lambda: errata_json(findings), lambda: drawn_errata(protocol, findings))
 
 
-@command(EmitOption)
+@command(EmitOption, only_with=_FORCED)
 def c(options: EmitOption) -> None:
     """Examples:
     bilprov spec emit c -o protocol.h
@@ -156,7 +164,7 @@ def c(options: EmitOption) -> None:
     options.write(c_header(protocol_in_use()))
 
 
-@command(EmitOption)
+@command(EmitOption, only_with=_FORCED)
 def stub(options: EmitOption) -> None:
     """Examples:
       bilprov spec emit stub --grammar modbus-rtu -o meter.pyi
@@ -169,7 +177,7 @@ def stub(options: EmitOption) -> None:
     options.write(python_stub(protocol_in_use()))
 
 
-@command(EmitOption)
+@command(EmitOption, only_with=_FORCED)
 def wireshark(options: EmitOption) -> None:
     """Examples:
       bilprov spec emit wireshark -o robot.lua
@@ -184,7 +192,7 @@ def wireshark(options: EmitOption) -> None:
     options.write(lua_dissector(protocol_in_use(), SKEW / MS, dissector_program()))
 
 
-@command(GrammarOptions)
+@command(GrammarOptions, only_with=_FORCED)
 def grammar(options: GrammarOptions) -> None:
     """Examples:
       bilprov spec emit grammar dynamixel1 -o mine.py
