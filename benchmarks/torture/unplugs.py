@@ -40,8 +40,9 @@ _GONE = 1.0  # s that a command which waits for ever does so before it is interr
 
 
 class Driver(NamedTuple):
-    """A command that drives: its words for a port, a probe and a folder; how much it sends (bytes).
+    """A command that drives: its words for a port, a probe and a folder; the least that it sends.
 
+    That is in `bytes`; `conform` sends up to a tenth more, depending on the times of the line.
     `waits` tells that it goes on where the port is there again.
     """
 
@@ -68,8 +69,8 @@ def _conform(*more: str) -> Callable[[str, str, Path], list[str]]:
 DRIVERS = {
     "send --wait": Driver(_send("--wait"), 60, waits=True, ever=True),
     "send": Driver(_send(), 60),
-    "conform --reconnect": Driver(_conform("--reconnect", "5"), 4700, waits=True),
-    "conform": Driver(_conform(), 4700),
+    "conform --reconnect": Driver(_conform("--reconnect", "5"), 4500, waits=True),
+    "conform": Driver(_conform(), 4500),
     "replay --to": Driver(lambda port, probe, folder: replay_to(port, folder), 170),
 }
 """The commands that drive; the taps are in `unplugged_taps.TAPPED`."""
