@@ -5,24 +5,20 @@ from __future__ import annotations
 import json
 import select
 import signal
-from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
 from random import Random
-from typing import Any
 
 import pytest
 import serial
-from click.testing import CliRunner
 
-from bilprov import __main__ as front_door
 from bilprov.conformance.dut.boards.simavr import HELD, PacedBoard, SimavrBoard
+from tests.support.commands import command
 from tests.support.firmware import AVR, built, compiled
-from tests.support.robots import MS, PATIENCE, Served, emulate
+from tests.support.robots import BYTE_TIME, MS, PATIENCE, emulate
 
 pytestmark = pytest.mark.waits
 
-BYTE = 86_806  # ns, of 10 bits at 115,200 baud
 
 FIRMWARE = Path(__file__).with_name("echo.c").read_text(encoding="utf-8")
 
@@ -35,13 +31,12 @@ def echo(switch: str = "NONE") -> Path:
 # -- in virtual time ------------------------------------------------------------------------------
 
 
-class Bench:
+class Paced:
     """A paced board on a clock that the test moves: what arrives from it, and when (ns)."""
 
-    def __init__(self, firmware: Path, byte_time: int = BYTE) -> None:
-        self.board = SimavrBoard(firmware)
+    def __init__(self, firmware: Path) -> None:
         self.said: list[str] = []
-        self.device = PacedBoard(self.board, byte_time, self.said.append)
+        self.device = PacedBoard(SimavrBoard(firmware), BYTE_TIME, self.said.append)
         self.now = 0
         self.heard: list[tuple[int, int]] = []
         self.wait(5 * MS)
@@ -62,30 +57,14 @@ class Bench:
             self.heard += [(self.now, byte) for byte in self.device.advance(self.now)]
 
 
-@pytest.fixture
-def bench() -> Iterator[Callable[..., Bench]]:
-    made: list[Bench] = []
-
-    def make(*arguments: Any, **options: Any) -> Bench:
-        made.append(Bench(*arguments, **options))
-        return made[-1]
-
-    yield make
-    for one in made:
-        one.board.close()
-
-
-Make = Callable[..., Bench]
-
-
 @pytest.mark.sample(2)
 @AVR
 @pytest.mark.parametrize("step", [None, 7 * MS, 19 * MS], ids=["as wanted", "late", "very late"])
 @pytest.mark.parametrize(
     "switch", ["NONE", "DOUBLE_SPEED", "DOUBLED_LATER", "TWO_STOP_BITS", "READS_LATE"]
 )
-def test_no_byte_of_a_long_burst_is_lost(bench: Make, switch: str, step: int | None) -> None:
-    line = bench(echo(switch))
+def test_no_byte_of_a_long_burst_is_lost(switch: str, step: int | None) -> None:
+    line = Paced(echo(switch))
     data = Random(1).randbytes(4096)
 
     line.send(data)
@@ -95,22 +74,22 @@ def test_no_byte_of_a_long_burst_is_lost(bench: Make, switch: str, step: int | N
 
 
 @AVR
-def test_bytes_take_their_time_on_the_wire_both_ways(bench: Make) -> None:
-    line = bench(echo())
+def test_bytes_take_their_time_on_the_wire_both_ways() -> None:
+    line = Paced(echo())
     sent = line.now
     line.send(bytes(50))
     line.wait(20 * MS)
     times = [at for at, _ in line.heard]
 
     assert len(times) == 50
-    assert all(at >= sent + (count + 1) * BYTE for count, at in enumerate(times, 1))
-    assert all(later - at >= BYTE for at, later in pairwise(times))
-    assert times[0] < sent + 4 * BYTE  # and not much longer
+    assert all(at >= sent + (count + 1) * BYTE_TIME for count, at in enumerate(times, 1))
+    assert all(later - at >= BYTE_TIME for at, later in pairwise(times))
+    assert times[0] < sent + 4 * BYTE_TIME  # and not much longer
 
 
 @AVR
-def test_a_machine_that_was_busy_skips_no_time(bench: Make) -> None:
-    prompt, late = bench(built()), bench(built())
+def test_a_machine_that_was_busy_skips_no_time() -> None:
+    prompt, late = Paced(built()), Paced(built())
     for line, step in ((prompt, None), (late, 10 * MS)):
         line.send(b"\x11\xff\x20")
         line.wait(5 * MS)
@@ -122,8 +101,8 @@ def test_a_machine_that_was_busy_skips_no_time(bench: Make) -> None:
 
 
 @AVR
-def test_a_probe_sees_the_stop_that_is_due_however_late_the_board_is(bench: Make) -> None:
-    line = bench(built())
+def test_a_probe_sees_the_stop_that_is_due_however_late_the_board_is() -> None:
+    line = Paced(built())
     line.send(b"\x11\xff\x20")
     line.wait(5 * MS)
     line.send(b"\x81")  # is cut short after 50 ms
@@ -133,8 +112,8 @@ def test_a_probe_sees_the_stop_that_is_due_however_late_the_board_is(bench: Make
 
 
 @AVR
-def test_after_a_long_stop_it_catches_up_bit_by_bit(bench: Make) -> None:
-    line = bench(built())
+def test_after_a_long_stop_it_catches_up_bit_by_bit() -> None:
+    line = Paced(built())
     line.send(b"\x11\xff\x20")
     line.now += 500 * MS  # as if it had been suspended
 
@@ -148,8 +127,8 @@ def test_after_a_long_stop_it_catches_up_bit_by_bit(bench: Make) -> None:
 
 
 @AVR
-def test_firmware_that_reads_no_more_loses_bytes_and_holds_up_nobody(bench: Make) -> None:
-    line = bench(echo("HANGS"))
+def test_firmware_that_reads_no_more_loses_bytes_and_holds_up_nobody() -> None:
+    line = Paced(echo("HANGS"))
     line.send(bytes(500))
     line.wait(300 * MS)
     assert line.answers == b"\x00"
@@ -163,8 +142,8 @@ def test_firmware_that_reads_no_more_loses_bytes_and_holds_up_nobody(bench: Make
 
 
 @AVR
-def test_a_flood_is_cut_and_said_once(bench: Make) -> None:
-    line = bench(echo())
+def test_a_flood_is_cut_and_said_once() -> None:
+    line = Paced(echo())
     for _ in range(3):
         line.send(bytes(HELD // 2 + 1))
 
@@ -175,10 +154,8 @@ def test_a_flood_is_cut_and_said_once(bench: Make) -> None:
 @AVR
 @pytest.mark.parametrize("busy", [0, 3 * MS], ids=["prompt", "busy"])
 @pytest.mark.parametrize("switch", ["SLEEPS_FOR_EVER", "RUNS_OFF"])
-def test_a_crash_is_said_once_and_its_last_answer_still_arrives(
-    bench: Make, switch: str, busy: int
-) -> None:
-    line = bench(echo(switch))
+def test_a_crash_is_said_once_and_its_last_answer_still_arrives(switch: str, busy: int) -> None:
+    line = Paced(echo(switch))
     line.send(b"a")
     line.now += busy
     line.send(b"bc")
@@ -199,43 +176,14 @@ def test_a_crash_is_said_once_and_its_last_answer_still_arrives(
 # -- the command ----------------------------------------------------------------------------------
 
 
-def opened(port: str) -> serial.Serial:
-    return serial.Serial(port, 115200, timeout=PATIENCE, write_timeout=PATIENCE)
-
-
-def ended(served: Served, how: signal.Signals = signal.SIGINT) -> tuple[int, str, str]:
-    served.process.send_signal(how)
-    out, err = served.process.communicate(timeout=PATIENCE)
-    return served.process.returncode, out, err
-
-
-@pytest.fixture(scope="module")
-def robot() -> Iterator[Served]:
-    """The reference firmware on a pty; each test leaves it between two frames."""
-    with emulate(built()) as served:
-        yield served
-
-
 LOOK = ("moving", "motion", "led", "left", "right")
-
-
-@AVR
-def test_its_probe_tells_what_the_pins_show(robot: Served) -> None:
-    with opened(robot.port) as port:
-        for frame in (b"\x00", b"\x11\x80", b"\x81\x05", b"\x51\xff", b"\x20"):
-            port.write(frame)
-            assert port.read(1) == b"\x00"
-        assert robot.state() == dict(zip(LOOK, (True, "forward", 5, 0, 128), strict=True))
-        port.write(b"\x90")
-        assert port.read(1) == b"\x01"
-        assert robot.state() == dict(zip(LOOK, (False, "stopped", 5, 0, 0), strict=True))
 
 
 @AVR
 def test_firmware_that_crashed_stays_served_and_ends_with_2() -> None:
     with emulate(echo("RUNS_OFF")) as served:
         assert served.process.stderr is not None
-        with opened(served.port) as port:
+        with serial.Serial(served.port, 115200, timeout=PATIENCE) as port:
             port.write(b"abc")
             assert port.read(1) == b"a"
             ready, _, _ = select.select([served.process.stderr], [], [], PATIENCE)
@@ -245,10 +193,11 @@ def test_firmware_that_crashed_stays_served_and_ends_with_2() -> None:
             drives_on = (True, "forward", 5, 255, 0)  # as a robot would
             assert served.state() == dict(zip(LOOK, drives_on, strict=True))
             assert port.in_waiting == 0
-        code, out, err = ended(served)
+        served.process.send_signal(signal.SIGINT)
+        out, err = served.process.communicate(timeout=PATIENCE)
 
     assert told.startswith("the firmware crashed ")
-    assert (code, out, err) == (2, "", "")
+    assert (served.process.returncode, out, err) == (2, "", "")
 
 
 @AVR
@@ -268,11 +217,6 @@ def test_the_wire_has_the_baud_of_the_grammar(
 
     monkeypatch.setattr("bilprov.conformance.cli.simulate.serve", served)
     for words in ([], ["--grammar", str(slow)]):
-        result = CliRunner().invoke(
-            front_door.front_door,
-            [*words, "simulate", "--firmware", str(echo())],
-            standalone_mode=False,
-        )
-        assert result.exception is None
+        command(*words, "simulate", "--firmware", str(echo()))
 
     assert times[1] - times[0] >= 900_000

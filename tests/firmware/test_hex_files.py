@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import select
 import subprocess
-from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
-from bilprov.analyzer.transport.port import Port, open_port
+from bilprov.analyzer.transport.port import open_port
 from bilprov.conformance.dut.boards import EmulatorError
 from bilprov.conformance.dut.boards.firmware import read_firmware
-from bilprov.conformance.dut.boards.simavr import SimavrBoard
-from tests.support.firmware import AVR, END, compiled, record
-from tests.support.robots import MS, PATIENCE, Served, emulate
-from tests.support.wires import running
+from tests.support.firmware import AVR, END, Bench, compiled, record
+from tests.support.robots import MS, emulate
+from tests.support.wires import read_from, running
 
 pytestmark = pytest.mark.waits
 
@@ -68,127 +66,73 @@ def test_lines_may_end_as_on_windows_and_the_start_may_be_given(tmp_path: Path) 
 # -- in virtual time ------------------------------------------------------------------------------
 
 
-class Bench:
-    """A board on a clock that the test moves."""
-
-    def __init__(self, firmware: Path) -> None:
-        self.board = SimavrBoard(firmware)
-        self.now = 0
-        self.wait(MS)
-
-    def answer(self, data: bytes) -> bytes:
-        """Send bytes one by one, each with time to be answered; gives the answers."""
-        heard = b""
-        for byte in data:
-            self.board.receive(bytes([byte]), self.now)
-            heard += self.wait(MS)
-        return heard
-
-    def wait(self, duration: int) -> bytes:
-        self.now += duration
-        return self.board.advance(self.now)
+def answered(line: Bench, data: bytes) -> bytes:
+    """The answers to bytes that are sent one by one, each with time to be answered."""
+    return b"".join(line.send(bytes([byte]), wait=MS, answers=None) for byte in data)
 
 
-@pytest.fixture
-def bench() -> Iterator[Callable[[Path], Bench]]:
-    made: list[Bench] = []
-
-    def make(firmware: Path) -> Bench:
-        made.append(Bench(firmware))
-        return made[-1]
-
-    yield make
-    for one in made:
-        one.board.close()
-
-
-Make = Callable[[Path], Bench]
+def passed(line: Bench, duration: int) -> None:
+    """Let time (ns) pass."""
+    line.send(b"", wait=duration, answers=None)
 
 
 @AVR
 @pytest.mark.parametrize("at", [0, 0x7000])
-def test_a_reset_starts_it_again_and_tells_it_why(bench: Make, at: int) -> None:
-    line = bench(counting(at))
-    assert line.answer(b"aaa") == b"\x11\x12\x13"
+def test_a_reset_starts_it_again_and_tells_it_why(at: int) -> None:
+    line = Bench(counting(at))
+    assert answered(line, b"aaa") == b"\x11\x12\x13"
 
     line.board.reset(line.now)
 
-    assert line.answer(b"aa") == b"\x21\x22"
+    assert answered(line, b"aa") == b"\x21\x22"
 
 
 @AVR
-def test_the_watchdog_resets_it_after_its_new_period_and_the_chip_keeps_the_flags(
-    bench: Make,
-) -> None:
-    line = bench(counting(0x7000))
+def test_the_watchdog_resets_it_after_its_new_period_and_the_chip_keeps_the_flags() -> None:
+    line = Bench(counting(0x7000))
+    passed(line, MS)  # and the flags of its power-on are read
     line.board.reset(line.now)
-    assert line.answer(b"aW") == b"\x21\x22"
+    assert answered(line, b"aW") == b"\x21\x22"
 
-    line.wait(13 * MS)
-    assert line.answer(b"a") == b""  # it waits for the watchdog
-    line.wait(5 * MS)
+    passed(line, 13 * MS)
+    assert answered(line, b"a") == b""  # it waits for the watchdog
+    passed(line, 5 * MS)
 
-    assert line.answer(b"aa") == b"\xa1\xa2"
-    line.wait(2500 * MS)
-    assert line.answer(b"a") == b"\xa1"
+    assert answered(line, b"aa") == b"\xa1\xa2"
+    passed(line, 2500 * MS)
+    assert answered(line, b"a") == b"\xa1"
 
 
 @AVR
-def test_a_reset_ends_a_crash_and_leaves_out_the_time_of_it(bench: Make, tmp_path: Path) -> None:
+def test_a_reset_ends_a_crash_and_leaves_out_the_time_of_it(tmp_path: Path) -> None:
     file = tmp_path / "a.hex"
     file.write_text(record(0, 0, b"\x00\x00" * 20) + END)  # runs into erased flash
-    line = bench(file)
-    line.wait(50 * MS)
+    line = Bench(file)
+    passed(line, 50 * MS)
     assert line.board.crashed
-    line.now += 3_600_000 * MS
+    late = line.now + 3_600_000 * MS
 
-    line.board.reset(line.now)
+    line.board.reset(late)
 
     assert not line.board.crashed
-    line.wait(MS)
+    line.board.advance(late + MS)
     assert line.board.crashed
 
 
 # -- on a pty -------------------------------------------------------------------------------------
 
 
-def asked(port: Port, data: bytes) -> bytes:
-    """The answers to bytes that are sent one by one."""
-    heard = b""
-    for count, byte in enumerate(data, 1):
-        port.write(bytes([byte]))
-        while len(heard) < count:
-            assert select.select([port], [], [], PATIENCE)[0], "no answer"
-            heard += port.read()
-    return heard
-
-
-@pytest.fixture(scope="module")
-def served() -> Iterator[Served]:
-    with emulate(counting(0x7000)) as board:
-        yield board
-
-
 @AVR
-def test_each_opening_of_the_pty_resets_it(served: Served) -> None:
-    for _ in range(3):
-        with open_port(served.port) as port:
-            assert asked(port, b"aa") == b"\x21\x22"
-
-
-@AVR
-def test_a_bridge_passes_each_opening_on(served: Served) -> None:
-    with running("sniff", "--bridge", served.port, "--quiet") as sniffing:
-        bridge = sniffing.stderr.readline().decode().strip().removeprefix("bilprov: ")
+@pytest.mark.parametrize("how", ["on a pty", "behind a bridge", "on a socket"])
+def test_each_opening_resets_it(how: str) -> None:
+    listens = ["--listen", "127.0.0.1:0"] if how == "on a socket" else []
+    with ExitStack() as stack:
+        port = stack.enter_context(emulate(counting(0x7000), *listens)).port
+        if how == "behind a bridge":
+            sniffing = stack.enter_context(running("sniff", "--bridge", port, "--quiet"))
+            port = sniffing.stderr.readline().decode().strip().removeprefix("bilprov: ")
         for _ in range(3):
-            with open_port(bridge) as port:
-                assert asked(port, b"aa") == b"\x21\x22"
-        assert sniffing.end()[0] == 0
-
-
-@AVR
-def test_each_connection_resets_it() -> None:
-    with emulate(counting(), "--listen", "127.0.0.1:0") as board:
-        for _ in range(2):
-            with open_port(board.port) as port:
-                assert asked(port, b"aa") == b"\x21\x22"
+            with open_port(port) as line:
+                for answer in (b"\x21", b"\x22"):
+                    line.write(b"a")
+                    assert read_from(line, 1) == answer

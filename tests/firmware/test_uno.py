@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterator
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -13,7 +12,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bilprov.analyzer.client.operations import Listen, Observation, Observe, Received, Send
 from bilprov.captures.schemas import MS, Look
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.boards import EmulatorError, libsimavr
@@ -21,7 +19,6 @@ from bilprov.conformance.dut.boards import simavr as uno
 from bilprov.conformance.dut.boards.firmware import read_firmware
 from bilprov.conformance.dut.boards.libsimavr import Avr
 from bilprov.conformance.dut.boards.simavr import SimavrBoard
-from bilprov.conformance.dut.target import VirtualLink
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.report.run_report import Report
 from bilprov.spec.codec import judge
@@ -29,35 +26,20 @@ from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import State
 from tests.support.car import car_state, wheels
 from tests.support.commands import command
-from tests.support.firmware import AVR, BUGS, built
+from tests.support.firmware import AVR, BUGS, Bench, built
 from tests.support.robots import sentence
 from tests.vectors import FRAMES
 
 pytestmark = AVR
 
-BYTE = 86_806  # ns, of 10 bits at 115,200 baud
 PAUSE = 70 * MS  # ends a frame that lacks data
 
 
-class Bench:
-    """A board on a virtual line: what is sent to it, what it answers, what its pins do."""
+class Uno(Bench):
+    """The reference firmware on its board."""
 
     def __init__(self, switches: str = "") -> None:
-        self.board = SimavrBoard(built(switches))
-        self._link = VirtualLink(self.board, BYTE)
-
-    def send(self, data: bytes, *, wait: int = 5 * MS, answers: int | None = 1) -> bytes:
-        """The answers to some bytes, listened for at most so long (ns)."""
-        self._link.do(Send(data))
-        heard = self._link.do(Listen(answers, wait))
-        assert isinstance(heard, Received)
-        return bytes(heard.codes)
-
-    def look(self) -> Look:
-        """What the pins and the PWM registers say."""
-        seen = self._link.do(Observe())
-        assert isinstance(seen, Observation)
-        return seen.look
+        super().__init__(built(switches))
 
     def direction(self) -> bool:
         """Whether a direction pin (D7 to D10) is high: what the README's probe is soldered to."""
@@ -74,14 +56,12 @@ class Bench:
 
 
 @pytest.fixture(scope="module")
-def bench() -> Iterator[Bench]:
-    bench = Bench()
-    yield bench
-    bench.board.close()
+def bench() -> Uno:
+    return Uno()
 
 
 def test_it_is_at_rest_after_power_on_and_knows_nothing_of_before() -> None:
-    bench = Bench()
+    bench = Uno()
     for _ in range(2):
         assert (bench.look().motion, bench.look().led) == ("stopped", 0)
         assert bench.send(b"\x20") == b"\x00"
@@ -90,11 +70,10 @@ def test_it_is_at_rest_after_power_on_and_knows_nothing_of_before() -> None:
             assert bench.send(frame) == b"\x00"
         assert (bench.look().moving, bench.look().led) == (True, 5)
         bench.board.power_cycle(bench.board.deadline())
-    bench.board.close()
 
 
 @pytest.mark.parametrize("vector", FRAMES, ids=lambda vector: vector.frame.hex())
-def test_it_answers_the_frames_of_the_document(bench: Bench, vector: object) -> None:
+def test_it_answers_the_frames_of_the_document(bench: Uno, vector: object) -> None:
     bench.home()
 
     assert bench.send(vector.frame, wait=PAUSE) == bytes([vector.code])  # type: ignore[attr-defined]
@@ -116,7 +95,7 @@ def agrees(look: Look, state: State, full: int) -> bool:
 @given(st.data())
 @settings(max_examples=100)
 def test_its_pins_follow_the_motion_model(
-    bench: Bench, protocol: Protocol, data: st.DataObject
+    bench: Uno, protocol: Protocol, data: st.DataObject
 ) -> None:
     lengths = protocol.lengths
     good = [protocol.header_bytes[spec.id, spec.length] for spec in protocol.instructions]
@@ -147,7 +126,7 @@ def test_its_pins_follow_the_motion_model(
 
 @pytest.mark.parametrize("frame", ["90", "10", "4200", "81 08", "e3"])
 def test_it_stands_still_within_a_millisecond_of_the_byte_that_makes_it_faulty(
-    bench: Bench, frame: str
+    bench: Uno, frame: str
 ) -> None:
     bench.drive()
     assert bench.look().moving
@@ -157,7 +136,7 @@ def test_it_stands_still_within_a_millisecond_of_the_byte_that_makes_it_faulty(
     assert bench.look().moving is False
 
 
-def test_a_header_without_its_data_stops_it_when_its_time_is_over(bench: Bench) -> None:
+def test_a_header_without_its_data_stops_it_when_its_time_is_over(bench: Uno) -> None:
     bench.drive()
 
     assert bench.send(b"\x81", wait=48 * MS) == b""
@@ -167,7 +146,7 @@ def test_a_header_without_its_data_stops_it_when_its_time_is_over(bench: Bench) 
     assert bench.look().moving is False
 
 
-def test_a_damaged_byte_between_two_frames_stops_it_and_is_not_answered(bench: Bench) -> None:
+def test_a_damaged_byte_between_two_frames_stops_it_and_is_not_answered(bench: Uno) -> None:
     bench.drive(0x20)
 
     bench.board.spoil(0x11, bench.board.deadline())
@@ -177,7 +156,7 @@ def test_a_damaged_byte_between_two_frames_stops_it_and_is_not_answered(bench: B
     assert bench.send(b"\x90") == b"\x01"
 
 
-def test_answers_to_what_came_before_a_damaged_byte_are_not_lost(bench: Bench) -> None:
+def test_answers_to_what_came_before_a_damaged_byte_are_not_lost(bench: Uno) -> None:
     bench.home()
     sent = bench.board.deadline()
     for byte in b"\x90\x10\x00":
@@ -206,7 +185,7 @@ def test_the_emulator_stops_where_it_is_told_also_while_the_chip_sleeps() -> Non
 
 
 def test_a_loop_that_hangs_is_ended_by_the_watchdog_and_the_robot_stands_still() -> None:
-    bench = Bench("-DBUG_HANGS_AT_FULL_SPEED")
+    bench = Uno("-DBUG_HANGS_AT_FULL_SPEED")
     bench.home()
     for frame in (b"\x81\x07", b"\x11\x80", b"\x20"):
         assert bench.send(frame) == b"\x00"
@@ -218,7 +197,6 @@ def test_a_loop_that_hangs_is_ended_by_the_watchdog_and_the_robot_stands_still()
     assert (bench.look().moving, bench.look().led) == (False, 0)
     assert bench.send(b"\x20") == b"\x00"
     assert bench.look().moving is False  # no speed was told since
-    bench.board.close()
 
 
 # -- the suite ------------------------------------------------------------------------------------
@@ -226,10 +204,7 @@ def test_a_loop_that_hangs_is_ended_by_the_watchdog_and_the_robot_stands_still()
 
 def run(switches: str = "", **options: Any) -> Report:
     """What the suite says of the firmware, built with these switches."""
-    board = SimavrBoard(built(switches))
-    report = conform(board, options=Options(**options), name="uno")
-    board.close()
-    return report
+    return conform(SimavrBoard(built(switches)), options=Options(**options), name="uno")
 
 
 @pytest.mark.slow

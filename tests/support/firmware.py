@@ -15,7 +15,12 @@ from pathlib import Path
 
 import pytest
 
+from bilprov.analyzer.client.operations import Listen, Observation, Observe, Received, Send
+from bilprov.captures.schemas import MS, Look
+from bilprov.conformance.dut.boards.simavr import SimavrBoard
+from bilprov.conformance.dut.target import VirtualLink
 from tests.support import ROOT
+from tests.support.robots import BYTE_TIME
 
 FIRMWARE = ROOT / "firmware"
 BUGS = re.findall(r"^#ifndef (BUG_\w+)$", (FIRMWARE / "bugs.h").read_text(), re.MULTILINE)
@@ -72,6 +77,35 @@ def built(switches: str = "", target: str = "uno") -> Path:
     shutil.copy2(_header(), out)
     make(out, target, f"BUGS={switches}")
     return out / f"{target}.elf"
+
+
+class Bench:
+    """A board on a virtual line: what is sent to it, what it answers, what its pins do.
+
+    It is not closed: its memory goes with the process.
+    """
+
+    def __init__(self, firmware: Path) -> None:
+        self.board = SimavrBoard(firmware)
+        self._link = VirtualLink(self.board, BYTE_TIME)
+
+    @property
+    def now(self) -> int:
+        """The board's time (ns)."""
+        return self._link.now
+
+    def send(self, data: bytes, *, wait: int = 5 * MS, answers: int | None = 1) -> bytes:
+        """The answers to some bytes, listened for at most so long (ns)."""
+        self._link.do(Send(data))
+        heard = self._link.do(Listen(answers, wait))
+        assert isinstance(heard, Received)
+        return bytes(heard.codes)
+
+    def look(self) -> Look:
+        """What the pins and the PWM registers say."""
+        seen = self._link.do(Observe())
+        assert isinstance(seen, Observation)
+        return seen.look
 
 
 def record(offset: int, kind: int, data: bytes) -> str:
