@@ -15,10 +15,7 @@ import subprocess
 import sys
 import termios
 import time
-from collections.abc import Callable
-from contextlib import closing, suppress
-from dataclasses import dataclass
-from functools import cache
+from contextlib import suppress
 from itertools import product
 from pathlib import Path
 
@@ -43,92 +40,49 @@ CLOSED = {"stdout": ">&-", "stderr": "2>&-", "both": ">&- 2>&-"}
 BREAKS = ("closed", "unread", "read in part", "full", "hung up")
 
 
-class Sink:
-    """What a stream breaks at: `end` is written to; `break_off` breaks it while that is done."""
-
-    def __init__(self, how: str, said: int) -> None:
-        self._reader = -1
-        if how == "hung up":
-            with open_pty() as terminal:
-                self.end = os.open(terminal.name, os.O_WRONLY | os.O_NOCTTY)
-            return
-        if how == "full":
-            self.end = os.open("/dev/full", os.O_WRONLY)
-            return
-        self._reader, self.end = os.pipe()
-        if how != "read in part":
-            self._hang_up()
-            return
-        # With room for all that will be said but a byte, as far as one page goes.
-        fcntl.fcntl(self.end, fcntl.F_SETPIPE_SZ, PAGE)
-        self._filled = min(PAGE, max(0, PAGE + 1 - said))
-        os.write(self.end, b"x" * self._filled)
-
-    def break_off(self) -> None:
-        """Take some bytes, and go. Where the first write is all of them, go without."""
-        until = time.monotonic() + 1
-        while self._reader >= 0:
-            waiting = fcntl.ioctl(self._reader, termios.FIONREAD, bytes(4))
-            if int.from_bytes(waiting, sys.byteorder) > self._filled or time.monotonic() > until:
-                os.set_blocking(self._reader, False)
-                with suppress(BlockingIOError):
-                    os.read(self._reader, self._filled + 1)
-                self._hang_up()
-            time.sleep(0.01)
-
-    def hand_over(self) -> None:
-        """Close our end: the command has it."""
-        if self.end >= 0:
-            os.close(self.end)
-        self.end = -1
-
-    def close(self) -> None:
-        self.hand_over()
-        self._hang_up()
-
-    def _hang_up(self) -> None:
-        if self._reader >= 0:
-            os.close(self._reader)
-        self._reader = -1
-
-
 def started(redirections: str, stdin: int, *arguments: str) -> subprocess.Popen[bytes]:
     """The command in a shell that redirects its streams; those that are left can be read."""
-    return subprocess.Popen(
-        [
-            *("/bin/sh", "-c", f'exec "$@" {redirections}', "sh"),
-            *(sys.executable, "-m", "bilprov", *arguments),
-        ],
-        stdin=stdin,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        cwd=ROOT,
-    )
+    shell = ["/bin/sh", "-c", f'exec "$@" {redirections}', "sh"]
+    words = [*shell, sys.executable, "-m", "bilprov", *arguments]
+    piped = subprocess.PIPE
+    return subprocess.Popen(words, stdin=stdin, stdout=piped, stderr=piped, cwd=ROOT)
 
 
 def broken(stream: str, how: str, *arguments: str, said: int = PAGE) -> Done:
     """The command, with the streams that are left captured; `said` is how much goes to the sink."""
+    reader, filled = -1, 0
+    if how == "hung up":
+        with open_pty() as terminal:
+            end = os.open(terminal.name, os.O_WRONLY | os.O_NOCTTY)
+    elif how == "full":
+        end = os.open("/dev/full", os.O_WRONLY)
+    else:
+        reader, end = os.pipe()
+    if how == "read in part":
+        # With room for all that will be said but a byte, as far as one page goes.
+        fcntl.fcntl(end, fcntl.F_SETPIPE_SZ, PAGE)
+        filled = os.write(end, bytes(min(PAGE, max(0, PAGE + 1 - said))))
+    elif reader >= 0:
+        os.close(reader)
     redirections = CLOSED[stream] if how == "closed" else STREAMS[stream]
-    with closing(Sink(how, said)) as sink:
-        process = started(f"{redirections} </dev/null", sink.end, *arguments)
-        sink.hand_over()
-        sink.break_off()
-        out, err = process.communicate(timeout=PATIENCE)
+    process = started(f"{redirections} </dev/null", end, *arguments)
+    os.close(end)
+    if how == "read in part":
+        read_and_gone(reader, filled)
+    out, err = process.communicate(timeout=PATIENCE)
     return subprocess.CompletedProcess(arguments, process.returncode, out, err)
 
 
-@dataclass(frozen=True)
-class Ended:
-    """How a command ended, and the files that it wrote."""
-
-    code: int
-    out: bytes
-    err: bytes
-    files: dict[str, bytes]
-
-    def said(self, stream: str) -> bytes:
-        """What it said on a stream, or on both."""
-        return {"stdout": self.out, "stderr": self.err, "both": self.out + self.err}[stream]
+def read_and_gone(reader: int, filled: int) -> None:
+    """Take some bytes more than were there, and go. Where all come in one write, go without."""
+    give_up = time.monotonic() + 1
+    while time.monotonic() < give_up:
+        waiting = fcntl.ioctl(reader, termios.FIONREAD, bytes(4))
+        if int.from_bytes(waiting, sys.byteorder) > filled:
+            os.read(reader, filled + 1)
+            break
+        time.sleep(0.01)
+    os.close(reader)
 
 
 FAULTS = {"good": "", "faulty": "--fault ok-to-unknown-id"}
@@ -147,58 +101,27 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@dataclass(frozen=True)
-class Judging:
-    """A command whose exit code is a verdict: what it is given, and its verdict of each robot.
-
-    {runs} is the folder above, {new} one for what is written, {robot} and {fault} whose run it is.
-    """
-
-    words: str
-    good: int = 0
-    faulty: int = 1
-
-
+# The commands whose exit code is a verdict: {runs} is the folder above, {new} one for what is
+# written, {robot} and {fault} whose run it is.
 JUDGING = {
-    "conform": Judging(
-        f"conform sim {{fault}} {FEW} --json {{new}}/a.json --html {{new}}/a.html "
-        "--junit {new}/a.xml --markdown {new}/a.md --profile {new}/new.toml"
-    ),
-    "conform, shown": Judging(f"conform sim {{fault}} {FEW} --markdown - --html {{new}}/a.html"),
-    "recheck": Judging("recheck {runs}/{robot}.mcap --json -", faulty=0),
-    "recheck, file": Judging("recheck {runs}/{robot}.mcap --json {new}/a.json", faulty=0),
-    "report": Judging("report {runs}/{robot}.json --html - --markdown {new}/a.md", faulty=0),
-    "report, shown": Judging("report {runs}/{robot}.json", faulty=0),
-    "replay": Judging("replay {runs}/{robot}.mcap --rate 0 --judge"),
-    "replay, jsonl": Judging("replay {runs}/{robot}.mcap --rate 0 --judge --format jsonl"),
-    "compare": Judging("capture diff {runs}/good.mcap {runs}/{robot}.mcap --json {new}/a.json"),
-    "compare, json": Judging("capture diff {runs}/good.mcap {runs}/{robot}.mcap --json -"),
-    "learn": Judging("lab learn sim {fault} --dot {new}/a.dot"),
+    "conform": f"conform sim {{fault}} {FEW} --json {{new}}/a.json --html {{new}}/a.html "
+    "--junit {new}/a.xml --markdown {new}/a.md --profile {new}/new.toml",
+    "conform, shown": f"conform sim {{fault}} {FEW} --markdown - --html {{new}}/a.html",
+    "recheck": "recheck {runs}/{robot}.mcap --json -",
+    "recheck, file": "recheck {runs}/{robot}.mcap --json {new}/a.json",
+    "report": "report {runs}/{robot}.json --html - --markdown {new}/a.md",
+    "report, shown": "report {runs}/{robot}.json",
+    "replay": "replay {runs}/{robot}.mcap --rate 0 --judge",
+    "replay, jsonl": "replay {runs}/{robot}.mcap --rate 0 --judge --format jsonl",
+    "compare": "capture diff {runs}/good.mcap {runs}/{robot}.mcap --json {new}/a.json",
+    "compare, json": "capture diff {runs}/good.mcap {runs}/{robot}.mcap --json -",
+    "learn": "lab learn sim {fault} --dot {new}/a.dot",
 }
-
-
-def words(name: str, robot: str, runs: Path, new: Path) -> list[str]:
-    template = JUDGING[name].words
-    return template.format(runs=runs, new=new, robot=robot, fault=FAULTS[robot]).split()
 
 
 def written(folder: Path) -> dict[str, bytes]:
     """The files in a folder, without its name."""
     return {f.name: timeless(f.read_bytes()).replace(bytes(folder), b"") for f in folder.iterdir()}
-
-
-@pytest.fixture(scope="module")
-def whole(runs: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, str], Ended]:
-    """How a command ends when nothing breaks."""
-
-    @cache
-    def ended(name: str, robot: str) -> Ended:
-        new = tmp_path_factory.mktemp("whole")
-        result = command(*words(name, robot, runs, new))
-        assert result.returncode == getattr(JUDGING[name], robot), result
-        return Ended(result.returncode, result.stdout, result.stderr, written(new))
-
-    return ended
 
 
 ROWS = list(product(JUDGING, FAULTS, STREAMS, BREAKS))
@@ -212,22 +135,26 @@ def test_a_verdict_is_given_only_where_everything_was_shown_and_written(
     stream: str,
     how: str,
     runs: Path,
-    whole: Callable[[str, str], Ended],
     tmp_path: Path,
 ) -> None:
-    kept = whole(name, robot)
-    lost = kept.said(stream)
+    def words(new: Path) -> list[str]:
+        new.mkdir()
+        return JUDGING[name].format(runs=runs, new=new, robot=robot, fault=FAULTS[robot]).split()
 
-    result = broken(stream, how, *words(name, robot, runs, tmp_path), said=len(lost))
+    whole = command(*words(tmp_path / "whole"))
+    said = {"stdout": whole.stdout, "stderr": whole.stderr, "both": whole.stdout + whole.stderr}
+    lost = said[stream]
 
-    assert result.returncode == (2 if lost else kept.code), result
-    assert written(tmp_path) == kept.files
+    result = broken(stream, how, *words(tmp_path / "new"), said=len(lost))
+
+    assert result.returncode == (2 if lost else whole.returncode), result
+    assert written(tmp_path / "new") == written(tmp_path / "whole")
     if stream != "stdout":
         assert result.stderr == b""
     elif lost:
         assert sentence(result).startswith("bilprov: standard output")
     if stream == "stderr":
-        assert timeless(result.stdout) == timeless(kept.out)
+        assert timeless(result.stdout) == timeless(whole.stdout)
 
 
 # -- robots that move ------------------------------------------------------------------------------
@@ -299,23 +226,23 @@ QUIET = [
 ]
 
 
-@pytest.mark.sample(1)
+@pytest.mark.sample(2)
+@pytest.mark.parametrize("how", ["closed", "unread"])
 @pytest.mark.parametrize("arguments", QUIET, ids=lambda words: words[0])
-def test_any_other_command_ends_quietly_when_nobody_reads(arguments: tuple[str, ...]) -> None:
-    both, alone = (broken(stream, "unread", *arguments) for stream in ("both", "stdout"))
+def test_any_other_command_ends_quietly_when_nobody_reads(
+    arguments: tuple[str, ...], how: str
+) -> None:
+    both, alone = (broken(stream, how, *arguments) for stream in ("both", "stdout"))
 
     assert (both.returncode, both.stdout, both.stderr) == (0, b"", b"")
     assert (alone.returncode, alone.stdout, alone.stderr) == (0, b"", b"")
 
 
-@pytest.mark.parametrize(
-    ("redirections", "shown"),
-    [(">&-", b""), (">&- 2>&-", b""), ("<&- >&-", b""), ("<&- 2>&-", b"00\n")],
-)
-def test_a_stream_that_is_closed_from_the_start_stops_no_other_command(
-    redirections: str, shown: bytes
+@pytest.mark.parametrize(("closed", "shown"), [("<&- >&-", b""), ("<&- 2>&-", b"00\n")])
+def test_standard_input_that_is_closed_from_the_start_stops_no_command(
+    closed: str, shown: bytes
 ) -> None:
-    process = started(redirections, subprocess.DEVNULL, "encode", "Stop")
+    process = started(closed, subprocess.DEVNULL, "encode", "Stop")
     out, _ = process.communicate(timeout=PATIENCE)
 
     assert (process.returncode, out) == (0, shown)
@@ -388,8 +315,8 @@ SLOWLY_READ = {
 }
 
 
-def read_late(*arguments: str, stream: str, late: float = 1.0) -> Done:
-    """The command with a stream that is a full, non-blocking pipe, which is read `late` (s)."""
+def read_late(*arguments: str, stream: str) -> Done:
+    """The command with a stream that is a full, non-blocking pipe, which is read late."""
     reader, end = os.pipe()
     with os.fdopen(reader, "rb") as said:
         fcntl.fcntl(end, fcntl.F_SETPIPE_SZ, PAGE)
@@ -398,7 +325,7 @@ def read_late(*arguments: str, stream: str, late: float = 1.0) -> Done:
         process = started(f"{STREAMS[stream]} </dev/null", end, *arguments)
         os.close(end)
         with suppress(subprocess.TimeoutExpired):
-            process.wait(late)
+            process.wait(1.0)
         shown = said.read()[PAGE:]
         out, err = process.communicate(timeout=PATIENCE)
     assert b"Traceback" not in err
