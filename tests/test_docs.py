@@ -12,9 +12,8 @@ import socket
 import subprocess
 import sys
 import tempfile
-import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +21,6 @@ from pathlib import Path
 import pytest
 from markdown_it import MarkdownIt
 
-from bilprov.analyzer.transport.port import open_pty
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.protocol import InstructionSpec, Protocol
@@ -40,7 +38,7 @@ _ENDLESS = re.compile(r"bilprov (sniff(?!.*--(count|duration))|simulate(?!.*--li
 # On a device in real time these take a minute, so a part of them is run. What they find on a busy
 # machine is not for a test of the pages to judge.
 _IN_REAL_TIME = re.compile(r"bilprov conform (?!sim)")
-_TAPS = re.compile(r"bilprov (sniff|ports) /dev/tty\w+ /dev/tty\w+|bilprov sniff /dev/tty\w+ *$")
+_TAPS = re.compile(r"(?<=bilprov sniff )/dev/tty\w+ /dev/tty\w+")
 
 DEVICE = re.compile(r"(?<![\w.])/dev/(?:tty(?:USB|ACM)\d|serial/by-id/[\w-]+)|\bPORT\b")
 PROBE = "robot.local:9000"
@@ -64,20 +62,12 @@ class Step:
 
     @property
     def statuses(self) -> set[int]:
-        """The exit statuses that the page gives it: 0 unless its comment names one.
-
-        `exit status 1` is that, `exit status 1 if ...` and `exit status 0 or 1` are either. Where
-        output is shown, it tells how the command ended.
-        """
+        """The exit statuses that are right: 0, and what the comment names, or as output shows."""
         if self.output is not None:
             return {0, 1, 2, 3}
+        named = re.search(r"# .*exit status (\d)(?: or (\d))?", self.line)
         found = {1, 3} if _IN_REAL_TIME.match(self.line) else set()
-        named = re.search(r"# .*exit status (\d)( or \d| if )?", self.line)
-        if not named:
-            return found | {0}
-        if not named[2]:
-            return found | {int(named[1])}
-        return found | {0, int(named[1]), *map(int, re.findall(r"\d", named[2]))}
+        return {0} | found | {int(status) for status in (named.groups("0") if named else ())}
 
 
 def pages() -> list[Path]:
@@ -144,22 +134,19 @@ def _plain(text: str) -> str:
 
 
 class Reader:
-    """Somebody who types what a page shows, in a folder, with a robot and two taps at hand."""
+    """Somebody who types what a page shows, in a folder, with a robot and simulated taps."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._robot: dict[str, str] = {}
         self._ports: dict[str, str] = {}  # of the page's own servers, and free ones
-        self._taps: Sequence[str] = ()
         self._background: list[subprocess.Popen[str]] = []
 
     @contextmanager
     def at_the_desk(self, text: str) -> Iterator[Reader]:
         """Plug in what the page speaks of; what was begun is ended on the way out."""
-        taps = re.search(r"/dev/ttyUSB1", text)
-        with simulate(pty=True) as robot, _traffic(bool(taps)) as names:
+        with simulate(pty=True) as robot:
             self._robot = {"port": robot.port, "probe": robot.probe.removeprefix("tcp:")}
-            self._taps = names
             self._ports = {f"127.0.0.1:{port}": _free() for port in re.findall(r"\b77\d\d\b", text)}
             try:
                 yield self
@@ -217,12 +204,9 @@ class Reader:
 
     def _here(self, text: str) -> str:
         """The text with the ports and the probe of this machine for those of the page."""
-        found = text.replace(PROBE, self._robot["probe"])
+        found = _TAPS.sub("sim", text.replace(PROBE, self._robot["probe"]))
         for page, free in self._ports.items():
             found = found.replace(page, free)
-        if self._taps and _TAPS.search(text):
-            first, second = self._taps
-            return found.replace("/dev/ttyUSB0", first).replace("/dev/ttyUSB1", second)
         return DEVICE.sub(self._robot["port"], found)
 
     def _there(self, text: str) -> str:
@@ -260,35 +244,6 @@ def _wait_for_output(process: subprocess.Popen[str], output: int) -> None:
     time.sleep(0.3)
 
 
-@contextmanager
-def _traffic(wanted: bool) -> Iterator[Sequence[str]]:
-    """Two ptys at which a conversation of host and device is heard, again and again."""
-    if not wanted:
-        yield ()
-        return
-    ended = threading.Event()
-    with open_pty() as host, open_pty() as device:
-
-        def speak() -> None:
-            frames = ["11 50", "20", "41 40", "81 05", "81 09", "92 11 ff", "00"]
-            while not ended.is_set():
-                for frame in map(bytes.fromhex, frames):
-                    host.write_some(frame)
-                    answer = {0x81: b"\2" if frame[-1] > 7 else b"\0", 0x92: b"\1"}
-                    time.sleep(0.002)
-                    device.write_some(answer.get(frame[0], b"\0"))
-                    if ended.wait(0.05):
-                        return
-
-        thread = threading.Thread(target=speak)
-        thread.start()
-        try:
-            yield host.name, device.name
-        finally:
-            ended.set()
-            thread.join()
-
-
 PAGES = pages()
 TEXTS = {page.relative_to(ROOT).as_posix(): page.read_text(encoding="utf-8") for page in PAGES}
 
@@ -303,6 +258,7 @@ NOT_RUN = {
     r"bilprov conform .*--watch": "goes on for ever; tests/conformance/test_watch.py runs it",
     r"bilprov lab score": "takes minutes; tests/conformance/mutation runs it",
     r"bilprov lab learn": "takes a minute; tests/conformance/learning runs it",
+    r"bilprov ports \S+ /dev/ttyUSB1": "needs two taps; tests/analyzer/doctor runs it",
 }
 # What a command needs beside Python.
 NEEDS = ("tshark", "jq")
