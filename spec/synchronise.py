@@ -60,7 +60,8 @@ def traffic(protocol: Protocol) -> Traffic:
     ]
     within = sum(begun[1:]) or 1.0
     other = [(1 - _PADDING) / 256] * 256
-    other[protocol.pad_byte] += _PADDING
+    # A device that nothing stops has no byte to pad with; zeros are common there too.
+    other[protocol.pad_byte if protocol.stop_or_none else 0] += _PADDING
     return Traffic(
         lengths=protocol.lengths,
         headers=headers,

@@ -47,7 +47,8 @@ def _frame(protocol: Protocol) -> Iterator[Line]:
         yield f"{_word(part.name)}_MASK", _hex(((1 << part.width) - 1) << part.shift), ""
     yield "MAX_DATA", str(max(protocol.lengths)), "data bytes that a header can announce"
     yield "MAX_FRAME", str(protocol.longest_frame), "bytes of the longest frame"
-    yield "FILLER", _hex(protocol.pad_byte), "the only byte that is safe to pad with: it stops"
+    if protocol.stop_or_none:
+        yield "FILLER", _hex(protocol.pad_byte), "the only byte that is safe to pad with: it stops"
 
 
 def _sections(protocol: Protocol) -> Iterator[tuple[str, Iterable[Line]]]:

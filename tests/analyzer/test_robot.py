@@ -672,8 +672,8 @@ def test_the_programs_own_handlers_stay_and_ctrl_c_is_given_back() -> None:
     heard: list[int] = []
     with (
         simulate() as served,
-        handled(signal.SIGINT, signal.default_int_handler),
-        handled(signal.SIGTERM, lambda number, frame: heard.append(number)),
+        handled(signal.default_int_handler, signal.SIGINT),
+        handled(lambda number, frame: heard.append(number), signal.SIGTERM),
     ):
         with Robot(served.port):
             assert signal.getsignal(signal.SIGINT) is not signal.default_int_handler

@@ -117,11 +117,14 @@ def test_an_interrupted_run_is_interrupted_again(
     assert "the run ended early" in recheck(str(tmp_path / "run.mcap")).notes[0]
 
 
-@pytest.mark.parametrize(("at", "works"), [(1, True), (2, False), (40, False), (90, True)])
+@pytest.mark.parametrize(("at", "works"), [(0, True), (1, False), (40, False), (90, True)])
 def test_a_link_that_fails_fails_again(
     tmp_path: Path, protocol: Protocol, at: int, works: bool
 ) -> None:
-    broken = {at: Ended("the probe went", error=True, line_works=works)}
+    def broken(asks: int) -> None:
+        if asks == at:
+            raise Ended("the probe went", error=True, line_works=works)
+
     report = recorded(tmp_path / "run.mcap", protocol, *SOME, broken=broken)
 
     assert report.ended == "the probe went"

@@ -14,16 +14,17 @@ from bilprov.spec.arrays.states import Known
 from bilprov.spec.arrays.tables import request_tables
 from bilprov.spec.by_effect import change_by, effect_words
 from bilprov.spec.codec import judge
+from bilprov.spec.emit.c import c_header
 from bilprov.spec.errors import WrongValue
 from bilprov.spec.protocol import GrammarError, Protocol, load
 from bilprov.spec.state import AllOf, AnyOf, Variables, Whole, state_class
 from tests.support import ROOT
 from tests.support.car import car_state
 from tests.support.commands import command
+from tests.support.grammars import RELAY as TEXT
 from tests.support.grammars import embedded, mutated, undeclared
 
 SWITCHES = ROOT / "tests" / "support" / "switch_grammar.py"
-TEXT = SWITCHES.read_text(encoding="utf-8")
 BOARD = load(TEXT, "switches.py")
 
 
@@ -34,6 +35,7 @@ def test_a_grammar_without_a_rest_has_no_stop() -> None:
     assert not BOARD.power_on.moving
     with pytest.raises(GrammarError, match="stops the relay board"):
         BOARD.pad_byte  # noqa: B018
+    assert "FILLER" not in c_header(BOARD)
 
 
 def test_it_may_come_from_a_capture() -> None:

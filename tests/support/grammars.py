@@ -13,6 +13,7 @@ from bilprov.spec.errors import UserError
 from bilprov.spec.explain import explain
 from bilprov.spec.protocol import Protocol, load
 from bilprov.spec.safe_grammar import NotDeclared, require_declarations
+from tests.support import ROOT
 from tests.vectors_checks import DIGITS, CheckVector
 
 # Each edit: a piece of the grammar's text that stands there once, and what takes its place.
@@ -181,69 +182,8 @@ CLAUSES = Clauses(header="1", instructions="2", responses="3", safety="4")
 """
 """What ends a grammar that says nothing of its line and its times."""
 
-RELAY = (
-    '''\
-"""A board with four relays: nothing that moves, and a frame of the car means something else."""
-
-from construct import BitsInteger, BitStruct, Byte, Struct, Switch, this
-
-from bilprov.spec.fields import (
-    Answer,
-    Answers,
-    Clauses,
-    From,
-    Instruction,
-    LineDefaults,
-    Outcome,
-    Ranged,
-    Sets,
-    Timing,
-)
-from bilprov.spec.motion import Motion
-
-NAME = "relay-board"
-VERSION = "2"
-DOCUMENT = "Reläkort"
-
-HEADER = BitStruct(
-    "length" / BitsInteger(3) * "number of data bytes that follow",
-    "id" / BitsInteger(5) * "which instruction it is",
-)
-
-INSTRUCTIONS = {
-    1: "AllOff"
-    / Instruction(document="off", effect=Sets(motion=Motion.STOPPED, led=0))
-    * "Opens all relays.",
-    2: "Switch"
-    / Instruction(
-        "mask" / Ranged(Byte, 0, 15) * "which relays are closed",
-        document="switch",
-        effect=Sets(led=From("mask")),
-    )
-    * "Closes some relays and opens the others.",
-}
-
-FRAME = Struct("header" / HEADER, "data" / Switch(this.header.id, INSTRUCTIONS))
-
-RESPONSE = Answers(
-    Byte,
-    {
-        0x50: Answer("DONE", Outcome.VALID, "done", "it was done"),
-        0x51: Answer("WHAT", Outcome.UNKNOWN_ID, "what", "there is no such instruction"),
-        0x52: Answer("RANGE", Outcome.BAD_DATA, "range", "a value is out of its range"),
-        0x53: Answer("LONG", Outcome.TOO_MANY, "long", "there are too many data"),
-        0x54: Answer("SHORT", Outcome.TOO_FEW, "short", "there are too few data"),
-    },
-)
-
-FAULTY = Sets(motion=Motion.STOPPED)
-POWER_ON = Sets(motion=Motion.STOPPED, speed=0, steering=0, led=0)
-
-'''
-    + TIMES
-)
-"""A grammar of its own, which shares no frame and no answer with the car's."""
-
+RELAY = (ROOT / "tests" / "support" / "switch_grammar.py").read_text(encoding="utf-8")
+"""A grammar of its own, framed as the car's is: a frame of the car means something else."""
 
 CAMERA = (
     '''\

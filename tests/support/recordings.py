@@ -9,43 +9,21 @@ from typing import Any
 import msgspec
 from mcap.reader import make_reader
 
-from bilprov.analyzer.client.operations import (
-    Ended,
-    Link,
-    LinkListener,
-    Observation,
-    Operation,
-    Received,
-)
+from bilprov.analyzer.client.operations import Link, LinkListener
 from bilprov.captures import topics
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk
 from bilprov.captures.writer import CaptureWriter
 from bilprov.conformance.api import Options, run_suite
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.dut.target import Environment, Observability, Target, VirtualLink
+from bilprov.conformance.dut.target import Environment, Observability, Target
 from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.runner.listeners.recorder import RunRecorder
 from bilprov.spec.protocol import Protocol, grammar_hash
 from tests.support.messages import Message, messages
-from tests.support.robots import BYTE_TIME
+from tests.support.robots import CountingLink
 
 WALL = 1_790_000_000_000_000_000
-
-
-class BreakingLink:
-    """A link over a device in virtual time that cannot do the ask of a number, with this."""
-
-    def __init__(self, link: Link, broken: dict[int, Ended]) -> None:
-        self._link = link
-        self._broken = broken
-        self._asks = 0
-
-    def do(self, ask: Operation) -> int | Received | Observation:
-        self._asks += 1
-        if self._asks in self._broken:
-            raise self._broken[self._asks]
-        return self._link.do(ask)
 
 
 def recorded(
@@ -55,7 +33,7 @@ def recorded(
     device: Any = None,
     options: Options | None = None,
     interrupted: Callable[[], bool | str] = lambda: False,
-    broken: dict[int, Ended] | None = None,
+    broken: Callable[[int], None] = lambda asks: None,
     observability: Observability | None = None,
 ) -> Report:
     """Record a run in virtual time into a new file; gives what came out of it."""
@@ -70,7 +48,7 @@ def recorded(
     )
 
     def connect(listener: LinkListener | None) -> Link:
-        return BreakingLink(VirtualLink(device, BYTE_TIME, listener), broken or {})
+        return CountingLink(device, broken, listener)
 
     target = Target(protocol, environment, connect, interrupted)
     with RunRecorder(str(path), target, start_wall=WALL) as recorder:

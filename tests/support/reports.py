@@ -22,18 +22,6 @@ from bilprov.conformance.report.run_report import Comparison, Covered, Grammar, 
 from bilprov.conformance.report.summary import show
 from bilprov.spec.protocol import Protocol
 
-EVIL = (
-    "<script>window.hit=1</script>",
-    "<img src=x onerror=window.hit=1>",
-    "</script><script>window.hit=1</script>",
-    "\"' onmouseover=window.hit=1 x='",
-    "]]><a href='javascript:window.hit=1'>x</a>",
-    "| a | `b` ```\n# c\n- [d](javascript:e) @everyone www.example.org <!--",
-    "[x](evil) ![y](evil.png) **z** ~~w~~ [v](http://evil.example/)",
-    "\x00\x1b[31m\x9b\u202e\u2028\ufffe",
-    "${7*7}{{7*7}}%s\\",
-)
-
 _STOPPED = Axis(Verdict.PASS, "stopped", "stopped")
 
 

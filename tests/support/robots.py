@@ -79,11 +79,16 @@ class Hidden:
 class CountingLink:
     """Virtual time; counts what it is asked. `broken` is asked before each ask and may raise."""
 
-    def __init__(self, device: Any, broken: Callable[[int], None] = lambda asks: None) -> None:
+    def __init__(
+        self,
+        device: Any,
+        broken: Callable[[int], None] = lambda asks: None,
+        tap: LinkListener | None = None,
+    ) -> None:
         self.asks = 0
         self.operations: list[Operation] = []
         self.looks: list[Look] = []
-        self._link = VirtualLink(device, BYTE_TIME)
+        self._link = VirtualLink(device, BYTE_TIME, tap)
         self._broken = broken
 
     def do(self, ask: Operation) -> int | Received | Observation:

@@ -1,4 +1,4 @@
-"""Sets which signals a process that a test starts ignores; without that it ignores none."""
+"""Sets how this process handles a signal, which a process that it starts inherits."""
 
 from __future__ import annotations
 
@@ -9,21 +9,11 @@ from typing import Any
 
 
 @contextmanager
-def ignoring(*ignored: signal.Signals) -> Iterator[None]:
-    """A process that is started inside ignores these, as nohup and a shell's `&` have it."""
-    before = {number: signal.signal(number, signal.SIG_IGN) for number in ignored}
+def handled(handler: Any, *numbers: int) -> Iterator[None]:
+    """Signals have this handler inside; ignored ones are so for what is started there, too."""
+    before = {number: signal.signal(number, handler) for number in numbers}
     try:
         yield
     finally:
         for number, was in before.items():
             signal.signal(number, was)
-
-
-@contextmanager
-def handled(number: int, handler: Any) -> Iterator[None]:
-    """A signal has this handler inside."""
-    before = signal.signal(number, handler)
-    try:
-        yield
-    finally:
-        signal.signal(number, before)

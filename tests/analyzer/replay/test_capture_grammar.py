@@ -24,7 +24,7 @@ from tests.support.screens import terminal
 START = 1_790_000_000_000_000_000
 
 # Two instructions, the second out of its range, with their answers.
-TRAFFIC = [(0, "host", "22 05"), (1, "device", "50"), (9, "host", "22 10"), (10, "device", "52")]
+TRAFFIC = [(0, "host", "11 05"), (1, "device", "00"), (9, "host", "11 10"), (10, "device", "02")]
 
 READERS = {
     "replay": ("replay", "{}", "--rate", "0"),
@@ -99,14 +99,14 @@ def test_what_is_sniffed_carries_it(file: Path) -> None:
 
     assert listened.returncode == 0, listened.stderr
     assert open_capture(file.with_name("s.mcap")).grammar_text == RELAY
-    assert {"Switch", "AllOff"} & set(names(file.with_name("s.mcap")))
+    assert {"Relays", "High", "Off", "Store"} & set(names(file.with_name("s.mcap")))
 
 
 @pytest.mark.waits
 def test_the_screen_decodes_a_capture_by_the_grammar_in_it(file: Path) -> None:
     with terminal(file.parent, (120, 30), "relay.mcap") as tmux:
         tmux.wait("4 rows")
-        shown = tmux.wait(lambda lines: "Switch" in (text := "\n".join(lines)) and "q quit" in text)
+        shown = tmux.wait(lambda lines: "Relays" in (text := "\n".join(lines)) and "q quit" in text)
         assert "mask=5" in "\n".join(shown)
         assert "another grammar" not in "\n".join(shown)
 
@@ -119,7 +119,7 @@ def test_a_text_of_any_lines_comes_back_as_it_was(tmp_path: Path, relay: Protoco
     assert indexed
     assert indexed.grammar_text == open_capture(path).grammar_text == text
     assert topics.GRAMMAR_TEXT not in open_capture(path).metadata
-    assert set(names(path)) == {"Switch"}
+    assert set(names(path)) == {"Relays"}
 
 
 def test_info_tells_that_the_grammar_is_in_the_file(file: Path) -> None:
@@ -127,7 +127,7 @@ def test_info_tells_that_the_grammar_is_in_the_file(file: Path) -> None:
     values = json.loads(given(("capture", "info", "{}", "--json"), file).stdout)
 
     assert b"recorded with          the grammar that is in the file" in shown.stdout
-    assert b"Closes some relays" not in shown.stdout
+    assert b"Switches all relays" not in shown.stdout
     assert topics.GRAMMAR_TEXT not in values["metadata"]
     assert values["same_grammar"] is False
 
@@ -158,7 +158,7 @@ def test_one_capture_may_carry_the_grammar_of_another(
     made = given(COPIES["join"], told(grammar_text=None))
 
     assert made.returncode == 0
-    assert names(file.with_name("new.mcap")) == ["Switch"] * 4
+    assert names(file.with_name("new.mcap")) == ["Relays"] * 4
 
 
 EVIL = "\nopen('witness', 'w')\n"
@@ -184,14 +184,14 @@ def test_a_text_that_does_more_than_declare_is_not_run(
     with pytest.raises(GrammarError, match="does more than declare"):
         names(path)
     asked = given(("replay", "{}", "--rate", "0", "--grammar", "relay.py"), path)
-    assert b"Switch mask=5" in asked.stdout
+    assert b"Relays mask=5" in asked.stdout
 
 
 @pytest.mark.parametrize(
     ("text", "piece"),
     [
-        (RELAY.replace("0x52", "0x51"), "told.mcap"),
-        (RELAY.replace("led=From", "lamp=From"), "told.mcap"),
+        (RELAY.replace("2: Answer(", "1: Answer("), "told.mcap"),
+        (RELAY.replace("relays=From", "lamp=From"), "told.mcap"),
         (RELAY.replace("Timing,", "Timing, Tempo,"), "it imports Tempo from bilprov.spec.fields"),
         ("", "which is not in it"),
     ],

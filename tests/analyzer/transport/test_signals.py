@@ -50,7 +50,7 @@ def test_a_stop_can_be_taken_back_and_asked_for_again() -> None:
 @pytest.mark.parametrize("number", ENDINGS)
 def test_each_signal_that_ends_a_process_asks_for_a_stop(number: int) -> None:
     usual = number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    with handled(number, signal.SIG_DFL), Stopper() as stopper:
+    with handled(signal.SIG_DFL, number), Stopper() as stopper:
         signal.raise_signal(number)
         assert _asked(stopper)
 
@@ -87,7 +87,7 @@ def test_the_signals_that_end_a_process_and_are_not_handled_are_those_of_a_crash
 
 @pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGQUIT, signal.SIGUSR1])
 def test_a_signal_that_is_ignored_stays_ignored(number: signal.Signals) -> None:
-    with handled(number, signal.SIG_IGN), Stopper() as stopper:
+    with handled(signal.SIG_IGN, number), Stopper() as stopper:
         assert unhandled([number]) == []
         signal.raise_signal(number)
         assert not _asked(stopper)
@@ -95,7 +95,7 @@ def test_a_signal_that_is_ignored_stays_ignored(number: signal.Signals) -> None:
 
 def test_postponed_signals_come_to_the_programs_own_handler_and_only_afterwards() -> None:
     heard: list[int] = []
-    with handled(signal.SIGTERM, lambda number, frame: heard.append(number)):
+    with handled(lambda number, frame: heard.append(number), signal.SIGTERM):
         with Stopper() as postponed:
             for _ in range(2):
                 signal.raise_signal(signal.SIGTERM)
@@ -111,8 +111,8 @@ def test_asyncio_finds_its_signal_as_it_was() -> None:
 
     with ExitStack() as stack:
         for number in (*ENDINGS, *SUSPENDING):
-            stack.enter_context(handled(number, signal.SIG_DFL))
-        stack.enter_context(handled(signal.SIGINT, signal.default_int_handler))
+            stack.enter_context(handled(signal.SIG_DFL, number))
+        stack.enter_context(handled(signal.default_int_handler, signal.SIGINT))
         handled_from_now_on(heard)
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
         assert signal.getsignal(signal.SIGTERM) is heard

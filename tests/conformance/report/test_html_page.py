@@ -17,8 +17,8 @@ from bilprov.conformance.report.run_report import Report
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import READINGS
 from tests.support.chromium import INSTALL, Page, chromium
-from tests.support.reports import EVIL, a_case, a_run, every_verdict, hostile
-from tests.support.surfaces import Seen
+from tests.support.reports import a_case, a_run, every_verdict, hostile
+from tests.support.surfaces import HOSTILE, Seen
 
 pytestmark = pytest.mark.waits
 
@@ -94,7 +94,7 @@ def test_matrix_and_cases_are_there_without_any_script(failing: Report, protocol
     assert '<table class="matrix">' in text
 
 
-@pytest.mark.parametrize("evil", EVIL)
+@pytest.mark.parametrize("evil", HOSTILE.values(), ids=HOSTILE)
 def test_hostile_text_makes_no_element_and_no_attribute(protocol: Protocol, evil: str) -> None:
     tame = Seen(as_html([hostile(protocol, "tame")], protocol)).elements
     text = as_html([hostile(protocol, evil)] * 2, protocol)
@@ -260,7 +260,7 @@ def test_the_line_to_try_it_again_is_copied(failing: Report, show: Open, place: 
 
 @needs_chromium
 @pytest.mark.sample(2)
-@pytest.mark.parametrize("evil", EVIL)
+@pytest.mark.parametrize("evil", HOSTILE.values(), ids=HOSTILE)
 def test_hostile_text_does_not_run(protocol: Protocol, show: Open, evil: str) -> None:
     report = hostile(protocol, evil)
     page = show(report, replace(report, device="other"))

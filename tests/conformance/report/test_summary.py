@@ -19,8 +19,9 @@ from bilprov.conformance.report.json_report import as_json
 from bilprov.conformance.report.markdown import as_markdown, code, prose
 from bilprov.conformance.report.run_report import Grammar, Report, conclusion
 from bilprov.spec.protocol import Protocol
-from tests.support.reports import EVIL, a_case, a_run, every_form, every_verdict, hostile, shown
+from tests.support.reports import a_case, a_run, every_form, every_verdict, hostile, shown
 from tests.support.robots import Blind
+from tests.support.surfaces import HOSTILE
 
 
 @pytest.fixture
@@ -131,7 +132,7 @@ def test_a_long_text_is_cut(protocol: Protocol) -> None:
     assert len(as_markdown([report], protocol)) < 10_000
 
 
-@pytest.mark.parametrize("evil", EVIL)
+@pytest.mark.parametrize("evil", HOSTILE.values(), ids=HOSTILE)
 def test_any_foreign_text_is_text(protocol: Protocol, evil: str) -> None:
     text = as_markdown([hostile(protocol, evil)], protocol)
     found = tokens(text)
@@ -147,7 +148,7 @@ def test_any_foreign_text_is_text(protocol: Protocol, evil: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "evil", [*EVIL, "# x", "- x", "1. x", "12) x", "+ x", "> x", "    x", "==="]
+    "evil", [*HOSTILE.values(), "# x", "- x", "1. x", "12) x", "+ x", "> x", "    x", "==="]
 )
 def test_prose_reads_as_it_was(evil: str) -> None:
     words = prose(escape_controls(evil))
