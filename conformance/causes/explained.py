@@ -20,7 +20,7 @@ from bilprov.conformance.causes.exchanges import (
 )
 from bilprov.conformance.causes.features import Literal, Rule, features, matches
 from bilprov.conformance.causes.relations import RESUMES, Effect
-from bilprov.conformance.causes.reproduction import Finder, Line, shown_by, shown_in
+from bilprov.conformance.causes.reproduction import Finder, Line, shorter_lines, shown_by, shown_in
 from bilprov.conformance.causes.trace import Trace
 from bilprov.conformance.oracle.judge import code_words, deviation
 from bilprov.conformance.oracle.verdicts import CaseResult, Cause, Verdict, WireEvent
@@ -37,8 +37,6 @@ if TYPE_CHECKING:
 _TRIED = 5
 """Causes that are tried again."""
 _AGAIN = {None: "not tried again", True: "tried again: the same", False: "tried again: not seen"}
-_SHORT = 8
-"""Frames up to which a line is not shortened by trying."""
 _WHILE = 10_000_000_000
 """For how long (ns) causes are tried again."""
 
@@ -74,32 +72,36 @@ class Explainer:
     def try_again(self) -> Procedure[None]:
         """Try the line of each of the first causes again, and then longer ones that may show them.
 
+        From one that does, what it does not need is taken while there is time.
         The device was just switched on where that can be done, and else homed. One that cannot be
         homed any more is not tried.
         """
-        begun, tried = self._trace.now, self.explanations[:_TRIED]
-        shortest = [(explanation, explanation.lines[:1]) for explanation in tried]
-        longer = [(explanation, explanation.lines[1:]) for explanation in tried]
-        for explanation, lines in (*shortest, *longer):
-            for line in lines:
-                if explanation.shown or (line.unhomed and not self.run.config.power):
-                    continue
-                if self._trace.now - begun > _WHILE:
-                    return
-                try:
-                    explanation.shown = yield from self._shows(explanation, line)
-                    if explanation.shown:
-                        yield from self._halve(explanation, begun)
-                except GaveUp:
-                    return
-
-    def _halve(self, explanation: Explanation, begun: int) -> Procedure[None]:
-        """Keep the last part of a long line that still shows the cause."""
-        line = explanation.lines[0]
-        while line.frames > _SHORT and not line.together and self._trace.now - begun < _WHILE:
-            if not (yield from self._shows(explanation, line.half)):
+        begun = self._trace.now
+        for explanation, line in self._lines():
+            if line.unhomed and not self.run.config.power:
+                continue
+            if self._trace.now - begun > _WHILE:
                 return
-            line = line.half
+            try:
+                shown = yield from self._shows(explanation, line)
+            except GaveUp:
+                return
+            explanation.shown = shown or bool(explanation.shown)
+
+    def _lines(self) -> Iterator[tuple[Explanation, Line]]:
+        """The lines to try: the first ones, longer ones until one shows, then shorter ones.
+
+        That a device moves on is no deviation of a frame: the motion before it is not taken away.
+        """
+        tried = self.explanations[:_TRIED]
+        yield from ((explanation, explanation.lines[0]) for explanation in tried)
+        for explanation in tried:
+            for line in explanation.lines[1:]:
+                if not explanation.shown:
+                    yield explanation, line
+        for explanation in tried:
+            if explanation.shown and not explanation.found.moves_on:
+                yield from ((explanation, line) for line in shorter_lines(explanation.lines))
 
     def _shows(self, explanation: Explanation, line: Line) -> Procedure[bool]:
         """Switch the device on or bring it to rest, and send the line; return whether it shows.
@@ -116,9 +118,10 @@ class Explainer:
         log.begin("")
         yield from followed(sent, trace, log)
         yield from self._home()
-        shown = shown_in(found, line, Exchanges(run.model, trace.events, self.timing))
+        seen = Exchanges(run.model, trace.events, self.timing)
+        shown = shown_in(found, line, seen, explanation.deviation)
         if shown is not None:
-            explanation.lines, explanation.deviation = [shown.line], shown.deviation
+            explanation.lines[:], explanation.deviation = [shown.line], shown.deviation
             explanation.log = log.of("")
         return shown is not None
 

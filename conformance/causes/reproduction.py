@@ -67,11 +67,10 @@ class Line(NamedTuple):
     unhomed: bool = False
     period: int = 0
 
-    @property
-    def half(self) -> Line:
-        """The last half of its frames."""
-        kept = self.chunks[len(self.chunks) // 2 :]
-        return Line(kept, len(kept), self.together, period=self.period)
+    def without(self, start: int, size: int) -> Line:
+        """This line without so many frames from that one on, its answers awaited."""
+        chunks = self.chunks[:start] + self.chunks[start + size :]
+        return self._replace(chunks=chunks, frames=self.frames - size)
 
     def without_last(self, number: int) -> Line:
         """This line without its last frames; one that is sent together stays as it is."""
@@ -215,19 +214,30 @@ class Finder:
         return sent[-1] if sent else None
 
     def _shortened(self, cause: Cause, shown: Sequence[Effect], line: Line) -> Line:
-        """The line without the frames that it does not need."""
-        size = len(line.chunks) // 2
-        while size:
-            for start in range(0, len(line.chunks) - size, size):
-                left = line.chunks[:start] + line.chunks[start + size :]
-                shorter = line._replace(chunks=left, frames=line.frames - size)
-                last = None if line.together else self._last(shorter)
-                if last and _shown(cause, shown, last):
-                    line = shorter
-                    break
-            else:
-                size //= 2
-        return line
+        """The line without the frames that it does not need on the simulator."""
+        lines = [line]
+        for shorter in shorter_lines(lines):
+            last = self._last(shorter)
+            if last and _shown(cause, shown, last):
+                lines.append(shorter)
+        return lines[-1]
+
+
+def shorter_lines(lines: list[Line]) -> Iterator[Line]:
+    """Yield lines that lack some frames of the last of these, until none is left to try.
+
+    One that serves is to become the last of them. The last frame stays, and nothing is taken from a
+    line that is sent together.
+    """
+    size = 0 if lines[-1].together else len(lines[-1].chunks) // 2
+    while size:
+        for start in range(0, len(lines[-1].chunks) - size, size):
+            line = lines[-1]
+            yield line.without(start, size)
+            if lines[-1] is not line:
+                break
+        else:
+            size //= 2
 
 
 class Shown(NamedTuple):
@@ -237,16 +247,22 @@ class Shown(NamedTuple):
     deviation: Deviation
 
 
-def shown_in(cause: Cause, line: Line, exchanges: Exchanges) -> Shown | None:
+def shown_in(
+    cause: Cause, line: Line, exchanges: Exchanges, known: Deviation | None = None
+) -> Shown | None:
     """Return how a line has shown the cause, None where it has not.
 
-    That is its last frame, or one before at which the cause would show.
+    That is its last frame, or one before at which the cause would show. Where another line has
+    shown the `known` deviation, this one is to show one of the same facet.
     """
     if not exchanges.all:
         return None
     last = exchanges.all[-1]
     for bag in exchanges.bags:
-        effects = [e for e in cause.effects if e.relation.facet == bag.deviation.facet]
+        facet = bag.deviation.facet
+        if known and known.facet != facet:
+            continue
+        effects = [effect for effect in cause.effects if effect.relation.facet == facet]
         explaining = [effect for effect in effects if effect.relation.explains(bag)]
         for effect, exchange in product(explaining, reversed(bag.exchanges)):
             behind = last.history.frames - exchange.history.frames

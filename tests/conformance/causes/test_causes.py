@@ -465,6 +465,7 @@ def test_what_a_cause_counts_is_in_its_line(protocol: Protocol, name: str) -> No
         ("second-frame-unanswered", ("--unhomed", "11 7f", "90")),
         ("mixture:R-drain-known=flushed:after-12", ("40",) * 14),
         ("mixture:R-drive-steering=straight:by-id", ("41 ff", "30")),
+        ("led-latches", ("--unhomed", "81 07", "81 03")),
     ],
 )
 def test_its_line_shows_what_depends_on_more_than_a_rule_says(
