@@ -24,7 +24,7 @@ from bilprov.spec.protocol import GrammarError, Protocol, load
 from bilprov.spec.replies import build_reply, read_reply, reply_size
 from bilprov.spec.safe_grammar import require_declarations
 from tests.support.drawn_layouts import DrawnLayout, drawn_fields, drawn_layout, drawn_values
-from tests.support.framed_traffic import FRAMED, READS_UNCHECKED, WITH_SYNC
+from tests.support.framed_traffic import READS_UNCHECKED, WITH_SYNC
 from tests.support.grammars import CAMERA
 from tests.vectors_modbus_rtu import REQUESTS
 
@@ -182,36 +182,6 @@ def test_a_wrong_check_is_said_with_the_right_one() -> None:
     judgement = judge(one.protocol, wrong)
     assert judgement.outcome is Outcome.BAD_CHECKSUM
     assert part.raw(raw).hex(" ") in judgement.reason
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "refused"),
-    [
-        (
-            "49: Pass",
-            "50: Pass",
-            "no check for the ID 50, which no instruction has; allowed are 0, 1",
-        ),
-        ("49: Pass", "49: Byte", "the check of FRAME for ID 49 is a .*, allowed is Pass: no check"),
-        ("49: Pass", '"49": Pass', "an ID of FRAME without a check is '49'"),
-        (
-            "value.id, READS",
-            "value.address, READS",
-            r"its part id: Switch\(this.covered.value.id, ",
-        ),
-        ('    "crc" / Switch', '    "x" / Byte,\n    "crc" / Switch', "nothing else stands behind"),
-        (
-            "Checksum(Int16ub, CRC, asked.covered.data + this.covered.data)",
-            "Switch(this.id, {}, default=Checksum(Int16ub, CRC, this.covered.data))",
-            "REPLY.crc is a Switch, allowed is one for the check of FRAME",
-        ),
-    ],
-)
-def test_a_check_that_no_request_can_lack_is_refused(old: str, new: str, refused: str) -> None:
-    text = FRAMED["roboclaw"]
-    assert old in text
-    with pytest.raises(GrammarError, match=refused):
-        load(text.replace(old, new))
 
 
 def test_what_lacks_its_check_is_explained_and_answered() -> None:

@@ -27,7 +27,7 @@ from benchmarks.construct_alone import question
 from bilprov.analyzer.grammar_file import SHIPPED, load_protocol
 from bilprov.spec.codec import Judgement, build, judge
 from bilprov.spec.data import DataSpec
-from bilprov.spec.protocol import GrammarError, Protocol, load
+from bilprov.spec.protocol import Protocol, load
 from bilprov.spec.replies import agrees, read_reply, reply_size
 from bilprov.spec.safe_grammar import require_declarations
 from tests import vectors_dynamixel1, vectors_modbus_rtu, vectors_stk500v1
@@ -298,26 +298,3 @@ def test_more_data_than_a_header_announces_are_refused() -> None:
     assert len(build(protocol, "Write", {**values, "values": "00" * 252})) == 259
     with pytest.raises(ValueError, match="Write has 254 data bytes; a header announces at most"):
         build(protocol, "Write", {**values, "values": "00" * 253})
-
-
-SINGLE = 'Memory("holding", at="register", value="value")'
-SEVERAL = 'Memory("holding", at="start", value="values", count="quantity")'
-SWAPPED = 'Memory("holding", at="values", value="start", count="quantity")'
-
-
-@pytest.mark.parametrize(
-    ("name", "old", "new", "piece"),
-    [
-        ("modbus-rtu", SEVERAL, SEVERAL.replace("quantity", "values"), "allowed is one number"),
-        ("modbus-rtu", SEVERAL, SWAPPED, "allowed is one number"),
-        ("modbus-rtu", SEVERAL, SEVERAL[:-1] + ', keep="values")', "allowed is one number"),
-        ("modbus-rtu", SINGLE, SINGLE[:-1] + ', count="value")', "leave the count out"),
-        ("dynamixel1", "Byte, also=2)", "Byte, also=-255)", "a header announces at least 255"),
-    ],
-)
-def test_what_no_request_can_hold_is_refused(name: str, old: str, new: str, piece: str) -> None:
-    text = load_protocol(name).source
-    assert old in text
-
-    with pytest.raises(GrammarError, match=piece):
-        load(text.replace(old, new))
