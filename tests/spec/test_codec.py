@@ -91,19 +91,6 @@ def test_what_is_not_one_frame_cannot_be_judged(protocol: Protocol, frame: bytes
         judge(protocol, frame)
 
 
-@pytest.mark.parametrize(
-    ("frame", "text"),
-    [
-        ("81 05", "LED rgb=5 (R B)"),
-        ("81 00", "LED rgb=0 (off)"),
-        ("93 00", "unused 9, 1 of 3 data bytes"),
-        ("0d", "Stop, 0 of 13 data bytes"),
-    ],
-)
-def test_a_frame_is_described_in_words(protocol: Protocol, frame: str, text: str) -> None:
-    assert judge(protocol, bytes.fromhex(frame)).describe() == text
-
-
 @pytest.mark.parametrize("row", HEADERS, ids=lambda r: r.name)
 def test_what_is_built_is_judged_valid_and_gives_its_fields_back(
     protocol: Protocol, row: InstructionRow
@@ -118,24 +105,6 @@ def test_what_is_built_is_judged_valid_and_gives_its_fields_back(
         assert judgement.valid
         for name in (spec.name, spec.name.lower(), spec.name.upper()):
             assert build(protocol, name, dict(judgement.fields)) == judgement.frame
-
-
-@pytest.mark.parametrize(
-    ("name", "fields", "sentence"),
-    [
-        ("Speed", {}, "Speed needs speed=0..255, for example Speed speed=255"),
-        ("Speed", {"speed": 1.5}, "Speed.speed is 1.5, allowed are whole numbers from 0 to 255"),
-        ("Left", {"force": 1, "strength": 2}, "Left has no field force; it takes strength"),
-        ("Stop", {"now": 1, "soon": 0}, "Stop has no field now, soon; it takes no fields"),
-    ],
-)
-def test_what_cannot_be_built_is_said_in_a_sentence(
-    protocol: Protocol, name: str, fields: dict[str, int], sentence: str
-) -> None:
-    with pytest.raises(ValueError) as raised:
-        build(protocol, name, fields)
-
-    assert str(raised.value) == sentence
 
 
 def test_a_header_may_lie_about_its_data_but_carries_no_more_than_its_bits(

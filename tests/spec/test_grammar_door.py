@@ -11,13 +11,11 @@ import re
 
 import pytest
 
-from bilprov.spec.codec import judge
-from bilprov.spec.fields import Outcome
-from bilprov.spec.protocol import NO_ANSWER, PLAIN_ANSWER, load
+from bilprov.spec.protocol import load
 from bilprov.spec.safe_grammar import LONGEST, NotDeclared, require_declarations
 from tests.support.commands import process
 from tests.support.framed_traffic import FRAMED
-from tests.support.grammars import TIMES, mutated
+from tests.support.grammars import mutated
 
 SPEED = '"speed" / Ranged(Byte, 0, 255)'
 ID, LENGTH = '"id" / BitsInteger(4)', '"length" / BitsInteger(4)'
@@ -157,43 +155,6 @@ def test_a_bomb_is_a_sentence_in_little_memory_and_time(grammar_text: str) -> No
 
 
 # --------------------------------------------------------------------------------------------------
-
-LIDAR = (
-    """
-from construct import Byte, Checksum, Const, Int16ul, RawCopy, Struct, Switch, this
-from bilprov.spec.fields import Clauses, Instruction, LineDefaults, Ranged, Sum, Timing
-
-NAME, VERSION, DOCUMENT = "lidar", "1", "TFmini, its standard frames"
-INSTRUCTIONS = {
-    0x59: "Distance"
-    / Instruction(
-        "distance" / Int16ul, "strength" / Int16ul, "mode" / Ranged(Byte, 2, 2), "spare" / Byte,
-        document="frame", answer=None,
-    )
-    * "Measured by itself, a hundred times a second.",
-}
-FRAME = Struct(
-    "covered"
-    / RawCopy(
-        Struct("head" / Const(b"\\x59"), "id" / Byte, "data" / Switch(this.id, INSTRUCTIONS))
-    ),
-    "sum" / Checksum(Byte, Sum(8), this.covered.data),
-)
-"""
-    + TIMES
-)
-
-
-def test_frames_that_are_never_answered_need_neither_a_reply_nor_a_list_of_silent_outcomes() -> (
-    None
-):
-    lidar = load(LIDAR, "lidar.py")
-    measured = judge(lidar, bytes.fromhex("59 59 2c 01 64 00 02 00 45"))
-    wrong = judge(lidar, bytes.fromhex("59 59 2c 01 64 00 02 00 46"))
-
-    assert (measured.valid, dict(measured.fields)["distance"]) == (True, 300)
-    assert wrong.outcome is Outcome.BAD_CHECKSUM
-    assert {*lidar.answers.values()} <= {NO_ANSWER, PLAIN_ANSWER}
 
 
 def test_names_of_a_grammars_own_are_let_alone() -> None:

@@ -32,7 +32,6 @@ from bilprov.spec.protocol import GrammarError, Protocol, load
 from bilprov.spec.state import AllOf, AnyOf, Variables, Whole, state_class
 from tests.support import ROOT
 from tests.support.car import car_state, wheels
-from tests.support.commands import command
 from tests.support.grammars import RELAY as TEXT
 from tests.support.grammars import embedded, mutated, still_grammar, undeclared
 from tests.vectors import WHEELS, WheelVector
@@ -198,12 +197,6 @@ def test_a_device_is_brought_to_rest_by_the_name_of_an_enum() -> None:
         'Sets(fan="off")': 'Sets(fan="high")',
     }
     assert load(mutated(MODE, changes)).rest_requests == (("Fan", {"mode": 0}),)
-
-
-def test_conform_needs_wheels() -> None:
-    refused = command("--grammar", str(SWITCHES), "conform", "sim")
-    assert refused.returncode == 2
-    assert b"declares no WHEELS" in refused.stderr
 
 
 # -- the motion model: effects, wheels, and how far a run moves ------------------------------------

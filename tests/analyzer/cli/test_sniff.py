@@ -18,7 +18,7 @@ from bilprov.captures.schemas import Line
 from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol
 from tests.analyzer.cli.sniffing import Sniffing, kept, promptly, sniffing, write
-from tests.support import ROOT, commands
+from tests.support import commands
 from tests.support.messages import messages
 from tests.support.robots import until
 from tests.support.wires import PtyRobot, json_lines, running, served
@@ -297,20 +297,6 @@ def test_the_capture_is_finished_though_nobody_reads_the_text(path: Path) -> Non
 
     assert code == 0
     assert out.endswith(b"}\n")
-
-
-def test_a_grammar_that_the_capture_cannot_carry_is_noted(path: Path) -> None:
-    text = (ROOT / "examples" / "relay_board.py").read_text(encoding="utf-8")
-    grammar = path.parent / "mine.py"
-    more = 'Const(b"\\x55\\x56" + b"\\x00" * 3)'
-    grammar.write_text(text.replace('Const(b"\\x55\\x56\\x00\\x00\\x00")', more))
-    with open_pty() as host:
-        words = ("sniff", host.name, "-w", str(path), "--duration", "0.1", "--grammar")
-        result = commands.command(*words, str(grammar))
-
-    assert result.returncode == 0
-    assert b"it does more than declare: there is" in result.stderr
-    assert replayed(path).returncode == 2
 
 
 STOPPED = 1.2  # s; longer than a device may take to answer

@@ -2,65 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import resource
 from pathlib import Path
 
 import pytest
 
 from bilprov.spec.protocol import load
-from tests.support import ROOT
-from tests.support.commands import Done, command, process
+from tests.support.commands import command, process
 from tests.support.framed_traffic import FRAMED, framed_capture, odd_traffic
-
-
-def checked(*words: str | Path) -> Done:
-    return command("spec", "check", *map(str, words))
-
-
-def test_a_check_that_fits_the_answers_alone_is_told(tmp_path: Path) -> None:
-    text = (ROOT / "examples" / "relay_board.py").read_text(encoding="utf-8")
-    asked, answered = text.split("REPLY =")
-    wrong = (
-        asked.replace("    Sum,", "    Sum,\n    Xor,")
-        + "REPLY ="
-        + answered.replace("Sum(8)", "Xor()")
-    )
-    (tmp_path / "mine.py").write_text(wrong, encoding="utf-8")
-    rows = [
-        *(("host", "5556000000 01 01 ad"), ("device", "333c000000 01 01 71")),
-        *(("host", "5556000000 02 01 ae"), ("device", "333c000000 02 01 72")),
-    ]
-    lines = [
-        json.dumps({"t": t // 2 + t % 2 / 100, "dir": by, "hex": sent})
-        for t, (by, sent) in enumerate(rows)
-    ]
-    (tmp_path / "line.jsonl").write_text("\n".join(lines), encoding="utf-8")
-
-    told = json.loads(
-        checked(tmp_path / "mine.py", tmp_path / "line.jsonl", "--format", "json").stdout
-    )
-
-    assert (told["host"]["decoded"], told["device"]["decoded"]) == (16, 0)
-    assert told["first"]["check"] == '"sum" / Checksum(Byte, Sum(8), this.covered.data)'
-
-
-def test_a_grammar_that_captures_cannot_carry_is_told(tmp_path: Path) -> None:
-    text = (ROOT / "examples" / "relay_board.py").read_text(encoding="utf-8")
-    (tmp_path / "zeros.py").write_text(text.replace('b"\\x33\\x3c', 'b"\\x33\\x3c" + b"'))
-    (tmp_path / "plain.py").write_text(text)
-    sent = "55 56 00 00 00 01 02 ae"
-
-    said, nothing = (checked(tmp_path / name, sent) for name in ("zeros.py", "plain.py"))
-
-    assert (said.returncode, nothing.returncode, nothing.stderr) == (0, 0, b"")
-    line = text[: text.index('b"\\x33')].count("\n") + 1
-    assert said.stderr.decode() == (
-        "captures made with zeros.py open only with --grammar zeros.py, because it does more than "
-        'declare: there is b"\\x33\\x3c" + b"\\x00\\x00\\x00" in line '
-        f"{line}\n"
-    )
-
 
 # --------------------------------------------------------------------------------------------------
 

@@ -10,7 +10,6 @@ import sys
 import threading
 import weakref
 from collections.abc import Iterator
-from pathlib import Path
 from unittest.mock import DEFAULT, patch
 
 import pytest
@@ -19,9 +18,7 @@ from rich.console import Console
 from bilprov.analyzer.cli.ports import drawn
 from bilprov.analyzer.cli.streams import interrupts_kept
 from bilprov.analyzer.transport.machine import PortInfo, Process
-from tests.support import ROOT
 from tests.support.commands import command, process
-from tests.support.grammars import mutated
 from tests.support.wires import json_lines
 from tests.vectors import FRAMES
 
@@ -78,31 +75,6 @@ def test_ports_fit_80_columns_and_hold_every_fact() -> None:
 
 
 # -- spec show -------------------------------------------------------------------------------------
-
-
-TEXT = (ROOT / "examples" / "relay_board.py").read_text(encoding="utf-8")
-
-
-def test_factors_flags_and_decimal_ids_are_shown(tmp_path: Path) -> None:
-    sets = '"level" / Byte, document="open", effect=Sets(level=From("level", factor=258)),'
-    changes = {
-        '1: "On"': '16: "On"',
-        'document="open", answer=STATUS, effect=Sets(on=1)': (
-            f'{sets} answer=Struct("alarm" / FlagsEnum(Byte, hot=1, slow=4))'
-        ),
-        "Variables(": "Variables(level=Whole(0, 65790), ",
-        " Const,": " Const, FlagsEnum,",
-        " Data,": " Data, From,",
-    }
-    grammar = tmp_path / "mine.py"
-    grammar.write_text(mutated(TEXT, changes), encoding="utf-8")
-
-    shown = command("spec", "show", "--grammar", str(grammar), COLUMNS="200")
-
-    assert shown.returncode == 0, shown.stderr
-    assert b"level = 258 x level" in shown.stdout
-    assert b"alarm=0..5 (hot slow)" in shown.stdout
-    assert b"  16  On " in shown.stdout
 
 
 # -- interrupts that the interpreter would lose ----------------------------------------------------

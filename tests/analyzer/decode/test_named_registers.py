@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,10 +13,8 @@ from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.grammar_file import carried_protocol, load_protocol
-from bilprov.analyzer.output.row_columns import CsvText, Times, usual_columns
 from bilprov.captures.reader import open_capture
 from bilprov.spec.codec import build, judge
-from bilprov.spec.explain import explain
 from bilprov.spec.protocol import GrammarError, Protocol
 from bilprov.spec.safe_grammar import require_declarations
 from tests.support import ROOT
@@ -45,7 +41,6 @@ REGISTERS = {
 # A request, its answer, and the registers in each; those of the document of the servos.
 POSITION = "FFFF 01 04 02 38 02 BE", "FFFF 01 04 00 18 05 DD"
 MOVE = "FFFF 01 09 03 2A 00 08 00 00 E8 03 D5"
-NEXT = "FFFF 01 05 04 2A 00 02 C9"
 BOTH = "FFFF FE 0A 83 2A 02 01 00 02 02 03 02 3E"
 
 
@@ -63,26 +58,6 @@ def grammar(tmp_path: Path) -> Callable[[str], Protocol]:
 
 def frame(text: str) -> bytes:
     return bytes.fromhex(text)
-
-
-@pytest.mark.parametrize(
-    ("request_", "registers"),
-    [
-        (MOVE, {"goal_position": 2048, "goal_time": 0, "goal_velocity": 1000}),
-        (NEXT, {"goal_position": 512}),
-        (BOTH, {"goal_position@1": 512, "goal_position@2": 515}),
-        ("FFFF 01 04 03 28 01 CE", {"torque": 1}),
-        ("FFFF 01 04 03 2A 01 CC", {}),  # half of the goal
-        ("FFFF 01 05 03 29 05 00 C8", {"acceleration": 5}),  # and half of the goal
-        (POSITION[0], {}),
-    ],
-)
-def test_a_request_has_the_registers_that_it_writes_as_a_whole(
-    request_: str, registers: dict[str, int]
-) -> None:
-    judged = judge(SERVO, frame(request_))
-    assert judged.valid
-    assert dict(judged.values[len(judged.fields) :]) == registers
 
 
 MOVED = frame(MOVE), frame("FFFF 01 02 00 FC")
@@ -126,43 +101,6 @@ def test_filters_find_registers(
             assert found.in_order(chosen).tolist() == rows, text
 
 
-def test_a_table_has_a_column_for_each_register() -> None:
-    events = conversation(FILTERS[0][0])
-    table = CsvText(usual_columns(SERVO), Times())
-    text = table.header + table.text(decoded(Session(SERVO), events))
-    rows = list(csv.DictReader(io.StringIO(text)))
-    assert [row["fields.goal_time"] for row in rows] == ["0", "", "", ""]
-    assert [row["fields.present_position"] for row in rows] == ["", "", "", "1304"]
-
-
-def test_the_bytes_of_a_register_are_explained_as_one_number() -> None:
-    (move,) = explain(SERVO, frame(MOVE)).frames
-    words = {group.name: (group.size, group.value, group.meaning) for group in move.groups}
-    assert words["goal_position"] == (2, 2048, "steps")
-    assert not [name for name in words if name.startswith("values")]
-    (both,) = explain(SERVO, frame(BOTH)).frames
-    names = [group.name for group in both.groups][-5:-1]
-    assert names == ["blocks[0]", "goal_position@1", "blocks[3]", "goal_position@2"]
-
-
-@pytest.mark.parametrize(
-    ("name", "values", "words"),
-    [
-        ("Write", {"goal_position": 1, "goal_velocity": 1}, "are not side by side"),
-        ("Write", {"goal_position": 65536}, "Write.goal_position is 65536, allowed are 0 to 65535"),
-        ("Read", {"register": "goal"}, "Read.register is 'goal', allowed are whole numbers"),
-        ("Read", {"register": 3, "size": 1, "goal_position": 1}, "has no field goal_position"),
-        ("Ping", {"goal_position": 1}, "Ping has no field goal_position"),
-        ("Write", {"register": 42, "goal_position": 1}, "takes register and values or goal_pos"),
-    ],
-)
-def test_what_cannot_be_asked_for_by_a_name_is_refused(
-    name: str, values: dict[str, int | str], words: str
-) -> None:
-    with pytest.raises(ValueError, match=words):
-        build(SERVO, name, {"address": 1, **values})
-
-
 def test_a_capture_carries_the_imported_declarations(tmp_path: Path) -> None:
     grammar, capture = tmp_path / "servo.py", tmp_path / "servo.mcap"
     grammar.write_text(FEETECH.read_text(encoding="utf-8"), encoding="utf-8")
@@ -203,31 +141,6 @@ def test_registers_of_words_have_a_place_in_words(grammar: Callable[[str], Proto
     assert judge(meter, single).describe().endswith("register=107 value=2300 voltage=2300")
     with pytest.raises(ValueError, match="power takes 2 cells of holding, and WriteSingleRegister"):
         build(meter, "WriteSingleRegister", {"address": 17, "power": 5})
-
-
-@pytest.mark.parametrize(
-    ("registers", "words"),
-    [
-        ('{"cells": {}}', "REGISTERS has 'cells', allowed are memories .*: holding, input"),
-        ('{"coils": {}}', "REGISTERS has 'coils', allowed are memories .*: holding, input"),
-        ("{107: 5}", "allowed within it is a text"),
-        ('{"holding": {-1: "a" / Int16ub}}', "REGISTERS is {'holding': {-1: "),
-        ('{"holding": {1: Int16ub}}', 'a register of holding must be written "name" / type'),
-        ('{"holding": {1: "start" / Int16ub}}', "a field and a register, are named start"),
-        ('{"holding": {1: "a" / Int16ub, 2: "A" / Int16ub}}', "are named a"),
-        ('{"holding": {1: "a" / Int16ub[2]}}', "the register a of holding must be one number"),
-        ('{"holding": {1: "a" / Byte}}', "a of size 1 in holding, allowed are multiples of 2"),
-        (
-            '{"input": {65536: "a" / Int16ub}}',
-            "in input, allowed are places up to 65535",
-        ),
-    ],
-)
-def test_registers_that_make_no_sense_are_refused_in_one_sentence(
-    grammar: Callable[[str], Protocol], registers: str, words: str
-) -> None:
-    with pytest.raises(GrammarError, match=words):
-        grammar(METER.split("REGISTERS")[0] + f"REGISTERS = {registers}\n")
 
 
 def test_an_imported_declaration_may_be_replaced_unless_others_need_it(

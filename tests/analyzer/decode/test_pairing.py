@@ -6,13 +6,11 @@ import pytest
 
 from bilprov.analyzer.decode.decoded_share import Checked, decoded_share, fitting_check, near_miss
 from bilprov.analyzer.decode.pairing import MOST, Waiting, waiting_frames
-from bilprov.analyzer.decode.records import Severity
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol, load
-from tests.support import ROOT
 from tests.support.decoding import MS, decoded, devices, hosts, kinds
 from tests.support.framed_traffic import FRAMED
 
@@ -40,17 +38,6 @@ def test_an_answer_is_paired_with_its_instruction(protocol: Protocol, name: str)
     assert [(r.value.instruction, (r.latency or 0) // MS) for r in devices(records)] == pairs
     assert all(record.value.agrees for record in devices(records))
     assert kinds(records).count("unanswered") == len(hosts(records)) - len(pairs)
-
-
-ERROR, WARNING, INFO = Severity(4), Severity(3), Severity(2)  # Foxglove's numbers
-
-
-def test_an_early_answer_comes_out_after_its_instruction(protocol: Protocol) -> None:
-    events = [Chunk(0, "device", b"\x00"), Chunk(5 * MS, "host", b"\x20")]
-
-    first, second = decoded(Session(protocol), events)
-
-    assert ([first], [second]) == (hosts([first]), devices([second]))
 
 
 @pytest.mark.slow
@@ -120,43 +107,6 @@ def test_what_waits_is_put_together_by_its_times_as_far_as_a_frame_cut_short(
 # -- near misses -----------------------------------------------------------------------------------
 
 
-RELAY = str(ROOT / "examples" / "relay_board.py")
-
-
-@pytest.mark.parametrize(
-    ("grammar", "sent", "name", "obstacle", "reason"),
-    [
-        (
-            "modbus-rtu",
-            "11 03 006B 0003 8776",
-            "ReadHoldingRegisters",
-            "checksum",
-            "right is 76 87",
-        ),
-        ("modbus-rtu", "11 05 0028 0001 8E92", "WriteSingleCoil", "range", "value is 1"),
-        ("modbus-rtu", "11 06 0001 0003 0000 2B0B", "WriteSingleRegister", "length", "takes 4"),
-        ("modbus-rtu", "11 03 006B", "ReadHoldingRegisters", "length", "4 bytes of 8 bytes came"),
-        ("modbus-rtu", "11 41 CDD0", "", "id", "no instruction has ID 65"),
-        ("dynamixel1", "FFFE 01 02 01 FB", "Ping", "sync", "begins with ff fe, right is ff ff"),
-        ("dynamixel1", "01 02 01 FB", "Ping", "sync", "no such bytes"),
-        ("dynamixel1", "FFFF 01 02 01 FA", "Ping", "checksum", "sum is fa, right is fb"),
-        ("dynamixel1", "FFFF 01 03 01 00 FA", "Ping", "length", "takes 0 data bytes, 1 came"),
-        ("stk500v1", "30 21", "GetSync", "sync", "21 stands where 20 must be"),
-        ("stk500v1", "74 0010 58 20", "ReadPage", "range", "memory is 88"),
-        ("robot-car", "81 09", "LED", "range", "rgb is 9"),
-        (RELAY, "5556000000 09 01 B5", "On", "address", "address is 9, allowed are 1 to 4"),
-    ],
-)
-def test_the_nearest_instruction_is_told_with_what_is_wrong(
-    grammar: str, sent: str, name: str, obstacle: str, reason: str
-) -> None:
-    found = near_miss(load_protocol(grammar), bytes.fromhex(sent))
-
-    assert found is not None
-    assert (found.name, found.obstacle) == (name, obstacle)
-    assert reason in found.reason
-
-
 def test_a_field_too_many_is_told_where_the_next_sync_stands_early() -> None:
     wrong = FRAMED["relay_board"].replace(
         'Instruction(document="close"', 'Instruction("x" / Byte, document="close"'
@@ -212,11 +162,6 @@ def test_what_keeps_bytes_from_being_an_answer_is_named(
     assert first.near is not None
     assert (first.near.name, first.near.obstacle) == ("Read", obstacle)
     assert reason in first.near.reason
-
-
-def test_a_valid_frame_is_no_near_miss() -> None:
-    assert near_miss(load_protocol("dynamixel1"), bytes.fromhex("FFFF 01 02 01 FB")) is None
-    assert near_miss(load_protocol("dynamixel1"), bytes.fromhex("123456789ABC")) is None
 
 
 def test_one_frame_says_little_of_a_check_of_one_byte() -> None:
