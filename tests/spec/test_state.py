@@ -30,13 +30,11 @@ from bilprov.spec.errors import WrongValue
 from bilprov.spec.motion import Motion, visible_motion
 from bilprov.spec.protocol import GrammarError, Protocol, load
 from bilprov.spec.state import AllOf, AnyOf, Variables, Whole, state_class
-from tests.support import ROOT
 from tests.support.car import car_state, wheels
 from tests.support.grammars import RELAY as TEXT
 from tests.support.grammars import embedded, mutated, still_grammar, undeclared
 from tests.vectors import WHEELS, WheelVector
 
-SWITCHES = ROOT / "tests" / "support" / "switch_grammar.py"
 BOARD = load(TEXT, "switches.py")
 
 
