@@ -20,9 +20,7 @@ import io
 import os
 import re
 import select
-import signal
 import sys
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, TextIO
@@ -150,33 +148,6 @@ def _opened(name: str, nowhere: int) -> tuple[TextIO, _Descriptor] | None:
     )
     setattr(sys, name, text)
     return text, descriptor
-
-
-@contextmanager
-def interrupts_kept() -> Iterator[None]:
-    """Send a SIGINT again whose KeyboardInterrupt was raised where no exception can go on.
-
-    Such a place is a callback of the interpreter's own, as when an import ends: it prints
-    "Exception ignored in" and goes on, and a robot would drive although Ctrl-C was pressed.
-    """
-    before = sys.unraisablehook
-
-    def ignored(lost: sys.UnraisableHookArgs) -> None:
-        if not issubclass(lost.exc_type, KeyboardInterrupt):
-            before(lost)
-            return
-        # Not at once: it would be raised in here, and be lost again.
-        while True:
-            # On a busy machine it may come before its timer's thread is known to have started.
-            with suppress(KeyboardInterrupt):
-                threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT)).start()
-                break
-
-    sys.unraisablehook = ignored
-    try:
-        yield
-    finally:
-        sys.unraisablehook = before
 
 
 def report(error: BaseException) -> int:

@@ -35,6 +35,7 @@ from bilprov.analyzer.transport.errors import (
     writing_failed,
 )
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
+from bilprov.analyzer.transport.machine import Machine
 from bilprov.captures.closing import Closing
 
 WRITE_TIMEOUT = 1.0  # s without a single byte taken
@@ -58,7 +59,7 @@ class Port(Closing):
         self.settings = settings
         self._handle = handle
         self._unechoed = bytearray()
-        self._instant = "://" in name or is_pty(name)
+        self._instant = "://" in name or Machine().is_pty(name)
         # spy:// prints the traffic, so its bytes have to go through pyserial's own calls.
         self._spied = name.lower().startswith("spy://")
         self._pump: _Pump | None = None
@@ -166,7 +167,7 @@ class Port(Closing):
         """
         self._require_open()
         with contextlib.suppress(*FAULTS):
-            if is_pty(self.name):
+            if Machine().is_pty(self.name):
                 os.close(os.open(self.name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK))
             else:
                 self._handle.dtr = False
@@ -275,7 +276,7 @@ def open_port(name: str, settings: LineSettings | None = None) -> Port:
                 name,
                 baudrate=settings.baud,
                 # A pty has no parity: asked for it again, the kernel refuses it.
-                parity="N" if is_pty(name) else settings.parity,
+                parity="N" if Machine().is_pty(name) else settings.parity,
                 stopbits=settings.stopbits,
                 timeout=0,
                 # rfc2217 knows no write time-out; its socket has one (below).
@@ -316,14 +317,6 @@ def _require_address(name: str) -> None:
         raise LinkError(
             f"{name} is not a usable address; write it like {name.split('://')[0]}://127.0.0.1:5000"
         )
-
-
-def is_pty(name: str) -> bool:
-    """Whether a path is a pty, also through a link; false for one that was just removed."""
-    try:
-        return os.path.realpath(name).startswith("/dev/pts/")
-    except OSError:
-        return False
 
 
 class _Pump(Closing):

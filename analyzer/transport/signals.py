@@ -1,13 +1,15 @@
 """The signals that end or suspend a process, and their handling for who drives a robot.
 
 A command is asked to end by a `Stopper`; who needs an exception instead, such as `Robot`, handles
-them by `handled`.
+them by `handled`. What Python itself would lose of them `interrupts_kept` sends again.
 """
 
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -195,6 +197,33 @@ def halt_if_ending() -> None:
     """Stop each robot if a signal has asked the command to end, which cannot go on by itself."""
     for halt in _halts if _heard else ():
         halt()
+
+
+@contextmanager
+def interrupts_kept() -> Iterator[None]:
+    """Send a SIGINT again whose KeyboardInterrupt was raised where no exception can go on.
+
+    Such a place is a callback of the interpreter's own, as when an import ends: it prints
+    "Exception ignored in" and goes on, and a robot would drive although Ctrl-C was pressed.
+    """
+    before = sys.unraisablehook
+
+    def ignored(lost: sys.UnraisableHookArgs) -> None:
+        if not issubclass(lost.exc_type, KeyboardInterrupt):
+            before(lost)
+            return
+        # Not at once: it would be raised in here, and be lost again.
+        while True:
+            # On a busy machine it may come before its timer's thread is known to have started.
+            with contextlib.suppress(KeyboardInterrupt):
+                threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT)).start()
+                break
+
+    sys.unraisablehook = ignored
+    try:
+        yield
+    finally:
+        sys.unraisablehook = before
 
 
 def as_usual(number: int) -> None:

@@ -8,7 +8,6 @@ a test works alike on a port in real time and on a simulator in virtual time.
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import replace
@@ -448,7 +447,7 @@ class RobotSession:
     def _end(self, number: int, frame: FrameType | None) -> None:
         if not self.bench.interrupt():
             self.bench.halt()
-            signal.default_int_handler(number, frame)
+            raise KeyboardInterrupt
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionfinish(self) -> None:

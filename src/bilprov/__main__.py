@@ -15,7 +15,7 @@ from click.core import ParameterSource
 from bilprov.analyzer.former_names import former_name
 from bilprov.analyzer.grammar_name import GrammarName
 from bilprov.analyzer.output.help import HELP_NAMES, Group
-from bilprov.analyzer.transport.signals import exit_status
+from bilprov.analyzer.transport.signals import exit_status, interrupts_kept
 from bilprov.analyzer.version import kit_version
 
 
@@ -246,7 +246,7 @@ def front_door(grammar: str | None = None) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command with `arguments` (the process's own by default) and end the process."""
-    from bilprov.analyzer.cli.streams import interrupts_kept, report, standard_streams
+    from bilprov.analyzer.cli.streams import report, standard_streams
 
     # Hardly anything here becomes garbage in cycles, which Python would look for at every turn.
     gc.set_threshold(50_000, 20, 50)

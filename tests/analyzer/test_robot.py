@@ -22,7 +22,7 @@ from bilprov.analyzer.client.operations import Ended, Operation
 from bilprov.analyzer.client.robot import Robot
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.port import open_port
-from bilprov.analyzer.transport.signals import ENDINGS, SUSPENDING
+from bilprov.analyzer.transport.signals import ENDINGS, SUSPENDING, handled
 from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.simulator import CONFORMING, Fault, Simulator
 from bilprov.conformance.mutation.catalogue import find_variant
@@ -33,7 +33,6 @@ from bilprov.spec.protocol import Protocol, load
 from tests.support import ROOT
 from tests.support.grammars import mutated
 from tests.support.robots import PATIENCE, served_here, simulate
-from tests.support.signals import handled
 
 pytestmark = pytest.mark.waits
 
@@ -672,8 +671,8 @@ def test_the_programs_own_handlers_stay_and_ctrl_c_is_given_back() -> None:
     heard: list[int] = []
     with (
         simulate() as served,
-        handled(signal.default_int_handler, signal.SIGINT),
-        handled(lambda number, frame: heard.append(number), signal.SIGTERM),
+        handled([signal.SIGINT], signal.default_int_handler),
+        handled([signal.SIGTERM], lambda number, frame: heard.append(number)),
     ):
         with Robot(served.port):
             assert signal.getsignal(signal.SIGINT) is not signal.default_int_handler

@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from bilprov.analyzer.transport.signals import handled
 from bilprov.captures.reader import open_capture
 from bilprov.conformance.api import Options, conform, planned, run_suite, select_cases
 from bilprov.conformance.dut.simulator import Simulator
@@ -23,7 +24,6 @@ from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.spec.protocol import Protocol
 from tests.support.commands import command, process
 from tests.support.robots import PATIENCE, Served, judged_exit, sentence, served_here, simulate
-from tests.support.signals import handled
 from tests.support.terminals import on_terminal
 from tests.support.wires import Running, running
 
@@ -135,7 +135,7 @@ def test_ctrl_c_leaves_the_robot_at_rest_and_ends_with_3(
     file, capture = tmp_path / "report.json", tmp_path / "run.mcap"
     with simulate() as robot:
         words = ("--probe", robot.probe, "--json", str(file), "--record", str(capture))
-        with handled(signal.SIG_IGN, *ignored), conforming(robot.port, *words) as run:
+        with handled(ignored, signal.SIG_IGN), conforming(robot.port, *words) as run:
             code, out, state = signalled_once_it_moves(run, robot, number)
 
     assert code == 3, out
@@ -182,7 +182,7 @@ def test_a_run_that_nohup_started_goes_on_without_its_terminal() -> None:
     with simulate() as robot:
         few = ("--level", "smoke", "--only", "unused-id/9/*", "--json", "-")
         words = ("--probe", robot.probe, *few)
-        with handled(signal.SIG_IGN, signal.SIGHUP), conforming(robot.port, *words) as run:
+        with handled([signal.SIGHUP], signal.SIG_IGN), conforming(robot.port, *words) as run:
             code, out, _ = signalled_once_it_moves(run, robot, signal.SIGHUP)
 
     report = json.loads(out)

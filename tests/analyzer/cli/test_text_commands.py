@@ -5,18 +5,11 @@ from __future__ import annotations
 import io
 import json
 import os
-import signal
-import sys
-import threading
-import weakref
-from collections.abc import Iterator
-from unittest.mock import DEFAULT, patch
 
 import pytest
 from rich.console import Console
 
 from bilprov.analyzer.cli.ports import drawn
-from bilprov.analyzer.cli.streams import interrupts_kept
 from bilprov.analyzer.transport.machine import PortInfo, Process
 from tests.support.commands import command, process
 from tests.support.wires import json_lines
@@ -72,97 +65,6 @@ def test_ports_fit_80_columns_and_hold_every_fact() -> None:
         assert word in shown
     assert "\x1b" not in shown
     assert max(len(line) for line in shown.splitlines()) <= 80
-
-
-# -- spec show -------------------------------------------------------------------------------------
-
-
-# -- interrupts that the interpreter would lose ----------------------------------------------------
-
-
-@pytest.fixture(autouse=True)
-def _heeded() -> Iterator[None]:
-    """SIGINT is heeded, also where the tests were started in the background, which ignores it."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
-class Module:
-    """Something that is collected."""
-
-
-def lose(error: type[BaseException]) -> None:
-    """Raise an exception where the interpreter can only ignore it."""
-
-    def ended(_: object) -> None:
-        raise error
-
-    held = Module()
-    watch = weakref.ref(held, ended)
-    del held
-    assert watch() is None
-
-
-@pytest.mark.waits
-@pytest.mark.parametrize("lost", [0, 1])
-def test_an_interrupt_in_a_callback_comes_again(lost: int) -> None:
-    """Also where, on a busy machine, it comes before whoever starts the timer goes on."""
-    timers = [KeyboardInterrupt] * lost + [DEFAULT]
-
-    def wait() -> None:
-        lose(KeyboardInterrupt)
-        for _ in range(1000):
-            signal.sigtimedwait([], 0.01)
-
-    with (
-        patch.object(threading, "Timer", wraps=threading.Timer, side_effect=timers),
-        pytest.raises(KeyboardInterrupt),
-        interrupts_kept(),
-    ):
-        wait()
-
-
-def test_other_exceptions_are_told_as_ever(monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[object] = []
-    monkeypatch.setattr(sys, "unraisablehook", lambda lost: told.append(lost.exc_type))
-
-    with interrupts_kept():
-        lose(ValueError)
-    lose(KeyError)
-
-    assert told == [ValueError, KeyError]
-
-
-@pytest.mark.waits
-def test_a_command_that_lost_one_while_it_imports_ends() -> None:
-    code = """
-import signal, sys, weakref
-from bilprov import __main__ as front_door
-
-signal.signal(signal.SIGINT, signal.default_int_handler)
-
-class Module: pass
-
-def interrupted(_):
-    raise KeyboardInterrupt
-
-run = front_door._run
-
-def importing(arguments):
-    held = Module()
-    watch = weakref.ref(held, interrupted)
-    del held
-    return run(arguments)
-
-front_door._run = importing
-front_door.main(["simulate"])
-"""
-
-    done = process(code=code)
-
-    assert done.returncode in (0, 130)
-    assert b"ignored" not in done.stderr
 
 
 # -- `bilprov decode`: hex, files and standard input are decoded frame by frame --------------------
