@@ -18,7 +18,6 @@ from tests import vectors_dynamixel1, vectors_modbus_rtu, vectors_stk500v1
 from tests.frame_vectors import RequestVector
 from tests.support import ROOT
 from tests.support.commands import command
-from tests.support.grammars import mutated
 from tests.vectors import ERRATA_IN_BYTES, ERRATUM_IDS, READING_IDS
 
 PROTOCOL = load_protocol()
@@ -87,34 +86,6 @@ def test_every_bit_of_a_frame_of_any_layout_stands_in_one_group(
     faulty = [group for group in frame.groups if group.fault]
     assert bool(faulty) is (vector.outcome not in ("valid", "truncated"))
     assert frame.device == protocol.device
-
-
-@pytest.mark.parametrize(
-    ("sent", "meanings", "reason"),
-    [
-        ("5556000000 01 00 000102 AF", ["fixed", "fixed", "fixed"], ""),
-        (
-            "5556000000 01 00 000202 B0",
-            ["fixed", "must be 01", "fixed"],
-            "Read.rest is 00 02 02, allowed are 00 01 02",
-        ),
-    ],
-)
-def test_fixed_data_are_explained_byte_by_byte(sent: str, meanings: list[str], reason: str) -> None:
-    text = (ROOT / "examples" / "relay_board.py").read_text(encoding="utf-8")
-    read, silent = '"Read" / Instruction(', "SILENT = ("
-    const = f'{read}"rest" / Const(b"\\0\\1\\2"), '
-    protocol = load(mutated(text, {read: const, silent: f"{silent}Outcome.BAD_DATA, "}))
-    (frame,) = explain(protocol, bytes.fromhex(sent)).frames
-
-    assert [group.meaning for group in frame.groups if group.name == "rest"] == meanings
-    assert frame.judgement.reason == reason
-    assert "means nothing" not in [group.meaning for group in frame.groups]
-
-
-def test_what_belongs_to_no_frame_is_refused_with_the_right_beginning() -> None:
-    with pytest.raises(ValueError, match="ff fe belong to no frame; a frame begins with ff ff"):
-        explain(load_protocol("dynamixel1"), bytes.fromhex("FFFE FFFF 01 02 01 FB"))
 
 
 # -- errata and readings are complete, and the grammar alone finds the errata in the examples ------

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from bilprov.spec.arrays.states import Known
 from bilprov.spec.arrays.tables import request_tables
 from bilprov.spec.by_effect import (
-    Movement,
     all_movement,
     change_by,
     effect_words,
@@ -130,23 +129,6 @@ def test_columns_have_what_the_effects_make_one_by_one(
     assert tables.states.last(array, requests, known).state.codes == state.codes
 
 
-@pytest.mark.parametrize(
-    ("frames", "words"),
-    [
-        (["00"], ""),
-        (["1105", "1103"], "it may set relays to 3..5"),
-        (["20", "30"], "it may set fan to high or off"),
-        (["40"], "it may set on to 0..1"),
-        (["1105", "70"], "it may set relays to 5, write flash"),
-        (["90"], "what the faulty instructions change is not known"),
-    ],
-)
-def test_what_frames_may_change_is_told_in_words(frames: list[str], words: str) -> None:
-    sent = [bytes.fromhex(frame) for frame in frames]
-    assert effect_words(BOARD, sent) == words
-    assert any(change_by(BOARD, frame) for frame in sent) is bool(words)
-
-
 def test_all_that_a_grammar_may_change_is_told_in_words() -> None:
     assert effect_words(BOARD) == (
         "it may set relays to 0..15, set fan to high or off or low, set on to 0..1, "
@@ -244,29 +226,6 @@ def test_at_full_steering_the_inner_wheel_stands_still(
 
 def test_a_robot_that_cannot_steer_drives_straight_on() -> None:
     assert wheels(car_state(Motion.FORWARD, 9), 0) == (9, 9)
-
-
-@pytest.mark.parametrize(
-    ("frames", "motions", "speed", "words"),
-    [
-        ("", "", None, "it is sent no motion; its wheels"),
-        ("81 02,41 05", "", None, "it is sent no motion; its wheels"),
-        ("20", "forward", None, "it drives, at the speed that it has"),
-        ("11 50,20", "forward", 80, "it drives, at speeds up to 80 of 255"),
-        ("11 50,20,11 ff,60", "forward rotate_right", 255, "it drives and turns, at speeds up to"),
-        ("11 50,11 09", "", 80, "it is sent no motion, only speeds up to 80 of 255"),
-        ("12 50 50,10,90,00", "", None, "it is sent no motion; its wheels"),
-    ],
-)
-def test_frames_are_summed_up(
-    protocol: Protocol, frames: str, motions: str, speed: int | None, words: str
-) -> None:
-    found = movement_of(protocol, (bytes.fromhex(one) for one in frames.split(",") if one))
-
-    assert found == Movement(frozenset(map(Motion, motions.split())), speed)
-    said = movement_words(protocol, found)
-    assert said.startswith(words)
-    assert said.endswith("; its wheels should be off the ground")
 
 
 def test_all_that_a_protocol_can_do_ends_the_sum(protocol: Protocol) -> None:

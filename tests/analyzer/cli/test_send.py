@@ -29,19 +29,6 @@ pytestmark = pytest.mark.waits
 BACK = "was lost and is there again, and the robot was stopped there first"
 
 
-def test_what_a_device_does_once_after_power_on_shows_where_it_is_not_homed_first(
-    protocol: Protocol,
-) -> None:
-    fault = fault_bank(protocol)["first-frame-answered-twice"]
-    answers = []
-    for more in (["--unhomed"], []):
-        with served_here(Simulator(protocol, fault)) as (port, _):
-            result = command("send", port, "00", "--yes", *more)
-        answers.append((result.returncode, result.stdout.count("← 00".encode())))
-
-    assert answers == [(1, 2), (0, 1)]
-
-
 @pytest.mark.parametrize(
     ("more", "number", "status", "told"),
     [

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from bilprov.analyzer.decode.decoded_share import Checked, decoded_share, fitting_check, near_miss
+from bilprov.analyzer.decode.decoded_share import Checked, fitting_check
 from bilprov.analyzer.decode.pairing import MOST, Waiting, waiting_frames
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.codec import judge
-from bilprov.spec.protocol import Protocol, load
+from bilprov.spec.protocol import Protocol
 from tests.support.decoding import MS, decoded, devices, hosts, kinds
-from tests.support.framed_traffic import FRAMED
 
 # What the host says (ms), what the device answers, and to which instruction after how long (ms).
 PAIRS: dict[str, tuple[list[tuple[int, str]], list[tuple[int, str]], list[tuple[int, int]]]] = {
@@ -107,63 +106,6 @@ def test_what_waits_is_put_together_by_its_times_as_far_as_a_frame_cut_short(
 # -- near misses -----------------------------------------------------------------------------------
 
 
-def test_a_field_too_many_is_told_where_the_next_sync_stands_early() -> None:
-    wrong = FRAMED["relay_board"].replace(
-        'Instruction(document="close"', 'Instruction("x" / Byte, document="close"'
-    )
-    found = near_miss(load(wrong), bytes.fromhex("5556000000 01 02 AE 5556000000 01 01 AD"))
-
-    assert found is not None
-    assert (found.name, found.obstacle) == ("Off", "length")
-    assert found.reason.startswith("its check is right after 8 bytes, with 0 bytes of data")
-
-
-@pytest.mark.parametrize(
-    ("name", "narrow", "wide", "sent", "size"),
-    [
-        ("relay_board", "Byte, 1, 4", "BytesInteger(2), 1, 4", "5556000000 01 02 AE", 8),
-        ("roboclaw", "Byte, 0x80", "Int16ub, 0x80", "81 18 BB90", 4),
-    ],
-)
-def test_an_address_that_is_declared_too_wide_is_named(
-    name: str, narrow: str, wide: str, sent: str, size: int
-) -> None:
-    text = FRAMED[name].replace(f"Address({narrow}", f"Address({wide}")
-    text = text.replace("import Byte,", "import Byte, BytesInteger,")
-    found = near_miss(load(text), bytes.fromhex(sent))
-
-    assert found is not None
-    assert found.obstacle == "length"
-    assert found.reason.startswith(f"its check is right after {size} bytes, as if a part of FRAME")
-    assert found.reason.endswith("such as address")
-
-
-@pytest.mark.parametrize(
-    ("right", "wrong", "obstacle", "reason"),
-    [
-        ('b"\\x33', 'b"\\x34', "sync", "33 3c 00 00 00 stands where 34 3c 00 00 00 must be"),
-        ('Same("address", Byte)', 'Same("address", Byte, plus=1)', "address", "is 2, right is 3"),
-        ('"data" / Data()', '"x" / Byte, "data" / Data()', "length", "8 of 9 bytes came"),
-    ],
-)
-def test_what_keeps_bytes_from_being_an_answer_is_named(
-    right: str, wrong: str, obstacle: str, reason: str
-) -> None:
-    request, reply = FRAMED["relay_board"].split("REPLY = ")
-    protocol = load(f"{request}REPLY = {reply.replace(right, wrong, 1)}")
-    asked = Chunk(0, "host", bytes.fromhex("5556000000 02 00 AD"))
-    told = Chunk(MS, "device", bytes.fromhex("333C000000 02 02 73"))
-    session = Session(protocol)
-    records = [*session.feed(asked), *session.feed(told), *session.finish()]
-
-    first = decoded_share(protocol, records).first
-
-    assert first is not None
-    assert first.near is not None
-    assert (first.near.name, first.near.obstacle) == ("Read", obstacle)
-    assert reason in first.near.reason
-
-
 def test_one_frame_says_little_of_a_check_of_one_byte() -> None:
     layout = load_protocol("dynamixel1").layout
     frames = [Checked(bytes.fromhex(f"FFFF 0{to} 02 01 0{to + 3}")) for to in (1, 2)]
@@ -172,24 +114,3 @@ def test_one_frame_says_little_of_a_check_of_one_byte() -> None:
     assert fitting_check(layout, frames[:1]) == ""
     assert fitting_check(layout, frames) == '"sum" / Checksum(Byte, Sum(8), this.covered.data)'
     assert "Checksum(Byte, Sum(8, complement=2), this" in fitting_check(layout, negative)
-
-
-# What each makes of the digits 1 to 9, as catalogues of CRCs have it.
-CRCS = {
-    "BB3D": "0x8005, 0x0000, reflected=True",
-    "4B37": "0x8005, 0xFFFF, reflected=True",
-    "FEE8": "0x8005, 0x0000",
-    "AEE7": "0x8005, 0xFFFF",
-    "31C3": "0x1021, 0x0000",
-    "29B1": "0x1021, 0xFFFF",
-    "2189": "0x1021, 0x0000, reflected=True",
-    "906E": "0x1021, 0xFFFF, reflected=True, xorout=0xFFFF",
-}
-
-
-@pytest.mark.parametrize("right", CRCS)
-def test_a_usual_crc_is_told_as_it_is_declared(right: str) -> None:
-    frame = Checked(b"123456789" + bytes.fromhex(right))
-
-    found = fitting_check(load_protocol("modbus-rtu").layout, [frame])
-    assert f"Checksum(Int16ub, Crc(16, {CRCS[right]}), this." in found

@@ -15,14 +15,12 @@ from hypothesis import strategies as st
 from bilprov.analyzer.decode.batch import Records
 from bilprov.analyzer.decode.records import Record
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.filters.fields import fields_of, offset
+from bilprov.analyzer.filters.fields import offset
 from bilprov.analyzer.filters.filter import Filter, compile_filter
 from bilprov.analyzer.filters.syntax import FilterError
 from bilprov.captures.schemas import Chunk, Line
-from bilprov.spec.codec import build
 from bilprov.spec.protocol import Protocol, load
 from tests.support.decoding import MS, Event, conversation, decoded, hosts
-from tests.support.framed_traffic import FRAMED
 
 TALK = [
     (b"\x11\x7f", b"\0"),
@@ -124,22 +122,6 @@ def test_any_text_is_a_filter_or_an_error_with_its_place(protocol: Protocol, tex
         assert str(error).isprintable()
 
 
-def test_garbage_has_no_data_to_compare(protocol: Protocol) -> None:
-    said = [(0, "host", b"\x9f"), (15 * MS, "device", b"\0"), (40 * MS, "host", b"\x20")]
-    records = decoded(Session(protocol), [Chunk(*one) for one in said])  # type: ignore[arg-type]
-    found = passing(compile_filter("data != 01", protocol), records)
-
-    assert [record.data for record in found] == [b"\x20"]
-
-
-def test_the_reach_of_a_field_is_what_its_bytes_can_carry(wide: Protocol) -> None:
-    fields = fields_of(wide)
-
-    reach = {name: (fields[name].low, fields[name].high) for name in ("speed", "strength", "pace")}
-    assert reach == {"speed": (0, 65535), "strength": (-32768, 32767), "pace": (0, (1 << 24) - 1)}
-    assert (fields["id"].high, fields["len"].high) == (7, 31)
-
-
 def test_a_field_that_is_called_like_a_name_of_the_row_is_reached_by_its_long_name(
     grammar_text: str,
 ) -> None:
@@ -148,24 +130,3 @@ def test_a_field_that_is_called_like_a_name_of_the_row_is_reached_by_its_long_na
     test = compile_filter("len == 1 and fields.len == 5 and FIELDS.LEN & 4", protocol)
 
     assert len(passing(test, records)) == len(hosts(records)) == 1
-
-
-def test_an_answer_without_a_code_is_not_the_one_with_the_code_of_valid_requests() -> None:
-    protocol = load(FRAMED["roboclaw"])
-    frames = [build(protocol, "ForwardM1", {"speed": 5, "address": 128})]
-    frames.append(build(protocol, "MainBattery", {"address": 128}))
-    records = decoded(Session(protocol), [Chunk(0, "host", frame) for frame in frames])
-
-    (found,) = passing(compile_filter("judgement == ACK", protocol), records)
-    assert found is records[0]
-    assert passing(compile_filter("judgement == 'no answer'", protocol), records) == []
-    compile_filter("response < 1", load(FRAMED["stk500v1"]))  # its codes are higher
-
-
-@pytest.mark.parametrize("name", ["values", "fields.values", "Values"])
-@pytest.mark.parametrize("given", ["00", "00 03", "0x0003", "'00 03'"])
-def test_behind_a_field_of_bytes_stands_hex_as_behind_data(name: str, given: str) -> None:
-    protocol = load(FRAMED["modbus_rtu"])
-    compile_filter(f"{name} contains {given}", protocol)
-    with pytest.raises(FilterError, match="bytes are written like 05 or 11 ff"):
-        compile_filter(f"{name} contains late", protocol)

@@ -16,7 +16,6 @@ from bilprov.analyzer.replay.comparison import (
     differences,
     first_difference,
 )
-from bilprov.analyzer.transport.port import open_pty
 from bilprov.captures.schemas import Chunk
 from bilprov.spec.codec import build, judge
 from bilprov.spec.protocol import PLAIN_ANSWER, Protocol, load
@@ -107,21 +106,6 @@ def test_a_device_that_is_lost_in_the_last_homing_is_no_success(
     assert UNANSWERED_STOPS.encode() in run.stderr
 
 
-def test_each_answer_that_differs_is_reported(capture: Write, protocol: Protocol) -> None:
-    robot = PtyRobot(protocol, wrong={b"\x81\x05": 2, b"\x90": 0})
-    path = capture(conversation(TALK))
-
-    with served(robot) as port:
-        run = commands.command(
-            *("replay", str(path), "--rate", "0", "--to", port, "--yes", "--format", "jsonl")
-        )
-
-    assert run.returncode == 1
-    found = [line for line in json_lines(run.stdout) if line["name"] == "difference"]
-    assert [line["sequence"] for line in found] == [2, 3]
-    assert "recorded OK (00), now BAD_DATA (02)" in found[0]["reason"]
-
-
 def test_a_frame_cut_short_is_sent_cut_short(capture: Write, protocol: Protocol) -> None:
     robot = PtyRobot(protocol)
     events = [
@@ -136,16 +120,6 @@ def test_a_frame_cut_short_is_sent_cut_short(capture: Write, protocol: Protocol)
 
     assert run.returncode == 0, run.stdout
     assert robot.frames[16:-16] == [b"\x11", b"\x20"]
-
-
-def test_a_recording_without_answers_cannot_be_compared_with(
-    capture: Write, protocol: Protocol
-) -> None:
-    with served(PtyRobot(protocol)) as port:
-        path = capture([Chunk(0, "host", b"\x20")])
-        run = commands.command("replay", str(path), "--rate", "0", "--to", port, "--yes")
-
-    assert run.returncode == 3
 
 
 def test_ctrl_c_leaves_the_device_stopped(capture: Write, protocol: Protocol) -> None:
@@ -200,19 +174,6 @@ def test_without_a_terminal_a_device_moves_only_with_yes(
     assert run.returncode == 2
     assert b"--yes" in run.stderr
     assert robot.frames == []
-
-
-def test_a_port_where_nobody_answers_is_said(
-    capture: Write, tmp_path: Path, grammar_text: str
-) -> None:
-    soon = tmp_path / "soon.py"
-    soon.write_text(grammar_text.replace("answer_longest=1000", "answer_longest=100"))
-    words = ("replay", str(capture(conversation(TALK))), "--grammar", str(soon))
-    with open_pty() as silent:
-        run = commands.command(*words, "--to", silent.name, "--yes")
-
-    assert run.returncode == 2
-    assert b"nobody answers" in run.stderr
 
 
 def run_of(protocol: Protocol, asked: bytes, answered: bytes) -> Exchanges:

@@ -270,14 +270,6 @@ def refused(**options: object) -> tuple[type[Exception], str]:
     return caught.type, str(caught.value)
 
 
-@pytest.mark.parametrize(
-    "text", ["", "5000", ":5000", "localhost", "localhost:", "h:x", "h:65536", "::1:80", "[h]:1"]
-)
-def test_what_is_no_address_is_said(text: str) -> None:
-    sentence = f"the address is {text!r}, allowed is HOST:PORT like 127.0.0.1:0"
-    assert refused(listen=text) == (ValueError, sentence)
-
-
 def test_what_cannot_be_served_is_said() -> None:
     with listening(ANY) as taken:
         in_use = f"{address_of(taken)} is in use by another program; close it"
