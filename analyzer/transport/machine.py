@@ -92,7 +92,12 @@ class Machine:
         return self._root / path.lstrip("/")
 
     def device(self, name: str) -> str:
-        """The path of the device that a name leads to: links resolved, as /proc shows it."""
+        """The path of the device that a name leads to: links resolved, as /proc shows it.
+
+        A URL leads to none, and is returned.
+        """
+        if "://" in name:
+            return name
         # realpath, since Path.resolve raises for links in a circle.
         here = os.path.realpath(self.file(str(Path(name).absolute())))
         root = os.path.realpath(self._root)
@@ -335,9 +340,7 @@ def paths_here() -> list[str]:
 
 def same_line(one: str, other: str) -> bool:
     """Whether two names of ports mean the same line, also through a symbolic link."""
-    if one == other:
-        return True
-    return "://" not in one + other and os.path.realpath(one) == os.path.realpath(other)
+    return Machine().device(one) == Machine().device(other)
 
 
 def _usb(folder: Path) -> UsbDevice | None:

@@ -20,7 +20,7 @@ import serial.rfc2217
 
 from bilprov.analyzer.transport.errors import LinkError, link_lost, opening_failed
 from bilprov.analyzer.transport.line_settings import LineSettings
-from bilprov.analyzer.transport.machine import list_ports
+from bilprov.analyzer.transport.machine import Machine, list_ports
 from bilprov.analyzer.transport.port import Port, PtyPair, open_port, open_pty
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
@@ -369,6 +369,16 @@ def test_what_is_no_serial_port(tmp_path: Path) -> None:
     assert refusal("/dev/null").startswith("/dev/null is not a serial port")
     assert refusal(f"{file}/x").startswith(f"there is no {file}/x")
     assert file.read_text() == "no port"
+
+
+def test_a_url_is_no_path_also_where_the_working_folder_is_gone(
+    listener: socket.socket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    with open_port(url(listener)) as port:
+        assert Machine().least_pause(port.name) == 0
 
 
 def test_an_address_where_nobody_listens(listener: socket.socket) -> None:
