@@ -247,9 +247,3 @@ def test_batches_are_counted_as_their_records_are(
     records = [record for event in events for record in session.feed(event)]
 
     assert counts == Records(records + session.finish()).counts
-
-
-def test_what_passed_is_counted(protocol: Protocol) -> None:
-    events = conversation([(b"\x11\xff", b"\0"), (b"\x81\x09", b"\0"), (b"\x20", b"\0")])
-
-    assert shown(protocol, events, [1])[1] == (3, 3, 2)

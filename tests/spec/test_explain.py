@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bilprov.analyzer import api
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.spec.codec import judge
 from bilprov.spec.explain import check, explain
@@ -192,3 +193,12 @@ def test_the_help_of_allow_names_every_option() -> None:
 
     assert options | {"version=1.0"} <= told
     assert len(options) == 4
+
+
+def test_python_explains_an_answer_by_its_request() -> None:
+    protocol = load_protocol("stk500v1")
+    (one,) = api.explain(b"\x14\x03\x10", "device", protocol, b"\x41\x81\x20").responses
+    names = [group.name for group in one.groups]
+    assert (one.words, names) == ("OK value=3", ["insync", "value", "code"])
+    with pytest.raises(ValueError, match="41 81 is not answered"):
+        api.explain(b"\x14\x10", "device", protocol, b"\x41\x81")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import random
 import signal
 import time
@@ -195,16 +194,3 @@ def test_a_command_over_parts_does_what_it_does_over_one_file(
     assert results[0] == results[1]
     assert results[0][0] == 0, results[0][1]
     assert any(results[0][1]) or content
-
-
-def test_info_tells_of_the_parts(both: tuple[Path, Path]) -> None:
-    _, several = both
-    told = [
-        json.loads(commands.command("capture", "info", NAME, "--format", "json", cwd=folder).stdout)
-        for folder in both
-    ]
-    names = [path.name for path in part_paths(several / NAME).values()]
-    assert [summary["parts"] for summary in told] == [[], names]
-    same = {"path", "start", "end", "zero", "duration", "bytes", "metadata", "unfinished"}
-    assert {key: told[0][key] for key in same} == {key: told[1][key] for key in same}
-    assert told[0]["counts"]["/host/raw"] == told[1]["counts"]["/host/raw"]

@@ -12,13 +12,11 @@ from bilprov.analyzer.decode.columns import ColumnBatch
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.filters.filter import compile_filter
-from bilprov.analyzer.grammar_file import carried_protocol, load_protocol
-from bilprov.captures.reader import open_capture
+from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.spec.codec import build, judge
 from bilprov.spec.protocol import GrammarError, Protocol
 from bilprov.spec.safe_grammar import require_declarations
 from tests.support import ROOT
-from tests.support.commands import command
 from tests.support.decoding import conversation, decoded, devices
 
 pytestmark = pytest.mark.usefixtures("columns_at_once")
@@ -99,22 +97,6 @@ def test_filters_find_registers(
         for text, rows in filters.items():
             chosen = compile_filter(text, SERVO).selection(found)
             assert found.in_order(chosen).tolist() == rows, text
-
-
-def test_a_capture_carries_the_imported_declarations(tmp_path: Path) -> None:
-    grammar, capture = tmp_path / "servo.py", tmp_path / "servo.mcap"
-    grammar.write_text(FEETECH.read_text(encoding="utf-8"), encoding="utf-8")
-    words = ("-w", str(capture), "--duration", "0.3", "--quiet", "--grammar", str(grammar))
-    assert command("sniff", "sim", *words).returncode == 0
-    grammar.unlink()
-
-    text = open_capture(capture).grammar_text
-    require_declarations(text)
-    assert "spec.grammars" not in text
-    carried = carried_protocol(text, SERVO.sha256, "servo.mcap")
-    assert (carried, carried.registers) == (SERVO, SERVO.registers)
-    done = command("replay", str(capture), "--rate", "0", "--columns", "hex,goal_position")
-    assert done.returncode == 0, done.stderr
 
 
 def test_registers_of_words_have_a_place_in_words(grammar: Callable[[str], Protocol]) -> None:

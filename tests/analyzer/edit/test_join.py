@@ -11,19 +11,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from bilprov.analyzer.api import read_capture
-from bilprov.analyzer.decode.records import is_frame
 from bilprov.analyzer.replay.recorder import RecordWriter, session_metadata
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import MS, Chunk, Direction, Line
 from bilprov.spec.protocol import Protocol
-from tests.support import ROOT
 from tests.support.commands import command
-from tests.support.decoding import Event, conversation, devices
+from tests.support.decoding import Event
 from tests.support.traffic import ACTS, played
 
 START = 1_790_000_000_000_000_000
-SAMPLE = ROOT / "captures" / "samples" / "examples.mcap"
 BOTH: tuple[Direction, Direction] = ("host", "device")
 
 
@@ -83,24 +79,6 @@ def test_two_taps_and_what_follows_them_keep_every_chunk(
     for side in BOTH:
         assert sorted(chunks(out, side)) == sorted(c for part in parts for c in chunks(part, side))
     assert open_capture(out).start == START - shift * MS
-
-
-def test_a_tap_of_each_side_gives_frames_with_their_answers(
-    protocol: Protocol, tmp_path: Path
-) -> None:
-    events = conversation([(b"\x11\x50", b"\0"), (b"\x20", b"\0"), (b"\x90", b"\1")])
-    host = written(tmp_path / "h.mcap", protocol, events, ["host"])
-    device = written(tmp_path / "d.mcap", protocol, events, ["device"], START - 7 * MS)
-    both = written(tmp_path / "b.mcap", protocol, events, BOTH, START - 7 * MS)
-    joined(device, host)
-    out = tmp_path / "joined.mcap"
-    answers = devices(read_capture(out, protocol))
-    assert [(a.instruction, a.latency) for a in answers] == [(0, MS), (1, MS), (2, MS)]
-    frames = [record.value for record in read_capture(out, protocol) if is_frame(record)]
-    assert frames == [record.value for record in read_capture(both, protocol) if is_frame(record)]
-    metadata = open_capture(out).metadata
-    assert metadata["heard"] == "device host"
-    assert (metadata["port_host"], metadata["port_device"]) == ("/dev/host", "/dev/device")
 
 
 def test_the_same_direction_at_the_same_time_is_refused_with_what_to_do(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -26,12 +25,9 @@ from bilprov.analyzer.output.row_columns import (
     neutral,
 )
 from bilprov.analyzer.output.text_lines import LineRenderer, hex_width
-from bilprov.analyzer.transport.port import open_pty
-from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk
 from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.protocol import Protocol, load
-from tests.support.commands import command
 from tests.support.csv_cells import plain
 from tests.support.decoding import MS, conversation, decoded
 from tests.support.framed_traffic import FRAMED
@@ -67,30 +63,6 @@ def test_count_does_not_wait_for_what_is_not_shown(tmp_path: Path) -> None:
         code, out, _ = replay.result()
 
     assert (code, len(out.splitlines())) == (0, 1)
-
-
-@pytest.mark.waits
-def test_sniff_writes_the_same(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    more = ["--format", "csv", "--columns", "time,t,hex", "--time", "utc", "--count", "2"]
-    with (
-        open_pty() as host,
-        open_pty() as device,
-        running("sniff", host.name, device.name, "-w", str(path), *more) as sniff,
-    ):
-        sniff.wait_for(path)
-        os.write(host.master, b"\x20\x00")
-        code, out, _ = sniff.result()
-
-    header, *rows = csv.reader(io.StringIO(out.decode(), newline=""))
-    assert (code, header) == (0, ["time", "t", "hex"])
-    rows = [row for row in rows if row[2]]  # a busy machine may report a wait
-    assert [row[2] for row in rows] == ["20", "00"]
-    again = command("replay", str(path), "--rate", "0", *more)
-    assert again.stdout == out
-    start = open_capture(path).start
-    wall = start + round(float(rows[0][1]) * 1e9)
-    assert rows[0][0].endswith(f".{wall // 1000 % 1_000_000:06d}Z")
 
 
 # -- rows as text: CSV, JSON lines and lines for people --------------------------------------------

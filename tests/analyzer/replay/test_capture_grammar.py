@@ -93,15 +93,6 @@ def names(path: Path, protocol: Protocol | None = None) -> list[str]:
 # -- read by it -----------------------------------------------------------------------------------
 
 
-def test_what_is_sniffed_carries_it(file: Path) -> None:
-    words = ("sniff", "sim", "-w", "s.mcap", "--format", "lines", "--count", "4")
-    listened = given(words, file, "--grammar", "relay.py")
-
-    assert listened.returncode == 0, listened.stderr
-    assert open_capture(file.with_name("s.mcap")).grammar_text == RELAY
-    assert {"Relays", "High", "Off", "Store"} & set(names(file.with_name("s.mcap")))
-
-
 @pytest.mark.waits
 def test_the_screen_decodes_a_capture_by_the_grammar_in_it(file: Path) -> None:
     with terminal(file.parent, (120, 30), "relay.mcap") as tmux:

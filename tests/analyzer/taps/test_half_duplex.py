@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import os
 import threading
 from collections.abc import Iterable
 from contextlib import closing
 from itertools import islice
-from pathlib import Path
 from random import Random
 
 import pytest
@@ -19,12 +17,10 @@ from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.taps.half_duplex import HalfDuplex
 from bilprov.analyzer.taps.sources import drive
 from bilprov.analyzer.transport.port import open_pty
-from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol, load
 from tests.analyzer.decode.test_foreign_traffic import TRAFFIC, events
-from tests.support.commands import command
 from tests.support.framed_traffic import READS_UNCHECKED, Traffic, exchanges
 
 TIMEOUT = 50 * MS
@@ -154,21 +150,3 @@ def test_the_host_stops_soon_after_it_has_set_the_robot_moving(protocol: Protoco
         longest = max(longest, moving)
 
     assert 1 < longest < 8
-
-
-@pytest.mark.waits
-def test_it_is_sniffed_as_a_line_and_recorded_as_what_it_is(tmp_path: Path) -> None:
-    path = tmp_path / "drive.mcap"
-    listened = ("sniff", "sim", "--format", "jsonl", "--count", "6", "-w", str(path))
-
-    result = command(*listened, "--judge")
-
-    rows = [json.loads(line) for line in result.stdout.splitlines()]
-    assert result.returncode == 0
-    # On a busy machine a row notes that the sniffer was late.
-    kinds = [row["kind"] for row in rows if row["kind"] != "fault"]
-    assert kinds[:4] == ["instruction", "response"] * 2
-    assert rows[-1]["kind"] == "judgement"
-    capture = open_capture(path)
-    assert capture.metadata["port_simulated"] == "drive"
-    assert not {"port_host", "port_device", "port_bridge"} & set(capture.metadata)
