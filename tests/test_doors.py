@@ -12,7 +12,7 @@ import math
 import os
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import redirect_stderr, redirect_stdout, suppress
+from contextlib import suppress
 from dataclasses import asdict
 from functools import cache
 from io import BytesIO, TextIOWrapper
@@ -26,7 +26,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from bilprov.__main__ import COMMANDS, front_door, main
+from bilprov.__main__ import COMMANDS, front_door
 from bilprov.analyzer.cli.options import Finite
 from bilprov.analyzer.cli.settings import (
     COMMON,
@@ -59,6 +59,7 @@ from bilprov.conformance.report.summary import show, show_compared
 from bilprov.spec.errors import LONGEST_SENTENCE, UserError, one_line
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import POINTS
+from tests.support.commands import command
 from tests.support.grammars import PIECES, PLACES, VALUE, loaded_or_said, use, with_texts
 from tests.support.surfaces import BROKEN, HOSTILE, NUL, seen
 
@@ -458,16 +459,6 @@ ARGUMENTS = {
 }
 
 
-def ended(*words: str) -> tuple[object, bytes]:
-    """The exit code of a command in this process, and all that it showed."""
-    out = TextIOWrapper(BytesIO(), encoding="utf-8", errors="surrogateescape", write_through=True)
-    with redirect_stdout(out), redirect_stderr(out), pytest.raises(SystemExit) as stop:
-        main(words)
-    out.flush()
-    assert isinstance(out.buffer, BytesIO)
-    return stop.value.code, out.buffer.getvalue()
-
-
 @pytest.mark.sample(6)
 @pytest.mark.parametrize("what", ARGUMENTS)
 def test_an_argument_or_the_name_of_a_file_does_nothing(what: str) -> None:
@@ -476,8 +467,9 @@ def test_an_argument_or_the_name_of_a_file_does_nothing(what: str) -> None:
             name = f"{folder}/{text[:200].replace('/', '_')}"
             Path(name).write_bytes(b"content")
             words = [word.format(text=text, file=name) for word in ARGUMENTS[what].split()]
-            code, shown = ended(*words)
-            assert code in (0, 2), (code, shown)
+            done = command(*words)
+            shown = done.stdout + done.stderr
+            assert done.returncode in (0, 2), shown
             assert b"Traceback" not in shown
             assert len(seen(shown)) < 100_000
 

@@ -13,7 +13,6 @@ import shutil
 import subprocess
 from collections.abc import Callable
 from functools import cache
-from io import BytesIO
 from pathlib import Path
 
 import pytest
@@ -22,7 +21,7 @@ from bilprov.analyzer.grammar_file import dissector_program
 from bilprov.captures.schemas import Chunk, Line, Log, Time
 from bilprov.captures.text import escape_controls, escape_json
 from bilprov.captures.writer import CaptureWriter
-from bilprov.conformance.learning.drawing import dot_text, has_graphviz, svg_text
+from bilprov.conformance.learning.drawing import dot_text
 from bilprov.conformance.learning.learner import Output
 from bilprov.conformance.machines.wp_method import Mealy
 from bilprov.spec.emit.c import c_header
@@ -32,18 +31,14 @@ from bilprov.spec.protocol import Protocol, load
 from tests.support.commands import command
 from tests.support.grammars import PLACES, with_texts
 from tests.support.surfaces import (
-    BROKEN,
     HOSTILE,
-    LONG,
     NUL,
     TAME,
     c_lines,
     csv_cells,
     html_elements,
-    json_values,
     lua_tokens,
     seen,
-    xml_elements,
 )
 
 SECOND = 1_000_000_000
@@ -53,33 +48,15 @@ Check = Callable[[bytes], object]
 """What must hold of an output with a hostile text."""
 
 
-def parquet(out: bytes) -> None:
-    pq = pytest.importorskip("pyarrow.parquet")
-    for row in pq.read_table(BytesIO(out)).to_pylist():
-        assert all(value.isprintable() for value in row.values() if isinstance(value, str))
-
-
-def pcapng(packets: bytes) -> None:
-    for text in (HOSTILE["terminal"][:4], HOSTILE["direction"][:2], "\x9b"):
-        assert text.encode() not in packets
-
-
-EVERY = HOSTILE | {"nul": NUL, "broken": BROKEN, "long": LONG[:60_000]}
+EVERY = HOSTILE | {"nul": NUL, "long": "x\x1b[2J" * 10_000}
 
 
 def test_json_that_prints_has_the_same_value() -> None:
-    value = [text for name, text in EVERY.items() if name != "broken"]
+    value = [*EVERY.values()]
     text = json.dumps(value, ensure_ascii=False, indent=1).encode()
 
     assert json.loads(escape_json(text)) == value
     seen(escape_json(text))
-
-
-def test_of_ten_megabytes_little_is_shown() -> None:
-    refused = command("decode", "--filter", f"name == {LONG}", "00")
-
-    assert refused.returncode == 2
-    assert len(seen(refused.stderr)) < 5000
 
 
 # -- captures --------------------------------------------------------------------------------------
@@ -88,28 +65,18 @@ KEYS = (
     *("grammar_name", "grammar_version", "kit", "machine", "version", "line", "history", "host"),
     *("port_host", "truncation_timeout_ms"),
 )
+# What an opened capture gives prints (see tests/captures/test_door.py). These would take markup, or
+# a formula, for what it is.
 CAPTURE_SURFACES: dict[str, tuple[str, Check]] = {
     "info": ("capture info {file}", seen),
-    "info, json": ("capture info --json {file}", json_values),
     "stats": ("stats {file}", seen),
-    "stats, json": ("stats {file} --json -", json_values),
     "replay, lines": ("replay {file} --rate 0", seen),
-    "replay, jsonl": ("replay {file} --rate 0 --format jsonl", json_values),
     "replay, csv": ("replay {file} --rate 0 --format csv", csv_cells),
-    "replay, judged": ("replay {file} --rate 0 --judge", seen),
     "export, csv": ("export {file} --format csv -o -", csv_cells),
-    "export, jsonl": ("export {file} --format jsonl -o -", json_values),
-    "export, parquet": ("export {file} --format parquet -o -", parquet),
-    "export, pcapng": ("export {file} --format pcapng -o -", pcapng),
     "plot": ("plot {file} --html -", html_elements),
     "compare": ("capture diff {file} {file}", seen),
-    "compare, json": ("capture diff {file} {file} --json -", json_values),
-    "cut": ("capture cut {file} {new} --start 0", seen),
     "join": ("capture join {file} {other} -o {new}", seen),
-    "convert": ("capture decode {file} {new}", seen),
-    "recover": ("capture repair {file} {new}", seen),
     "doctor": ("capture check {file}", seen),
-    "doctor, json": ("capture check {file} --format json", json_values),
     "recheck": ("recheck {file}", seen),
 }
 
@@ -222,7 +189,6 @@ def test_a_grammars_texts_stay_in_the_docstrings_of_a_stub(
     assert kinds[0] == kinds[1]
 
 
-@pytest.mark.waits
 def test_names_and_devices_stay_in_the_labels_of_a_picture(protocol: Protocol) -> None:
     outputs = tuple(Output((at,)) for at in range(len(HOSTILE)))
     machine = Mealy(((0,) * len(HOSTILE),), (outputs,))
@@ -235,8 +201,6 @@ def test_names_and_devices_stay_in_the_labels_of_a_picture(protocol: Protocol) -
 
     outside = [re.sub(r'"(\\.|[^"\\])*"', '""', text) for text in pair]
     assert outside[0] == outside[1]
-    if has_graphviz():
-        assert xml_elements(svg_text(pair[0]).encode()) == xml_elements(svg_text(pair[1]).encode())
 
 
 # Markup of rich, which is shown as it is.

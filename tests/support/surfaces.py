@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import re
 from html.parser import HTMLParser
-from xml.etree import ElementTree
 
 HOSTILE = {
     "terminal": "\x1b[2J\x1b]0;owned\x07\x9b31m\x90q\x9c\x08\r\x7f",
@@ -25,8 +23,6 @@ HOSTILE = {
 """What would do something on a surface that takes it as it is, by what it is aimed at."""
 NUL = "a\0b"
 BROKEN = "a\udc9bb"  # what Python makes of a byte that is no UTF-8
-LONG = "x\x1b[2J" * 2_000_000
-"""10 MB."""
 TAME = "tame"
 
 
@@ -63,11 +59,6 @@ def html_elements(page: bytes) -> set[tuple[str, ...]]:
     return {(tag, *attributes) for tag, attributes in Seen(text).elements}
 
 
-def xml_elements(text: bytes) -> set[tuple[str, ...]]:
-    """The kinds of elements of a document in XML, each with the names of its attributes."""
-    return {(element.tag, *element.keys()) for element in ElementTree.fromstring(text).iter()}
-
-
 def csv_cells(table: bytes) -> list[list[str]]:
     """The cells of a table, none of which is a formula or does not print."""
     rows = list(csv.reader(io.StringIO(table.decode("utf-8"), newline=""), strict=True))
@@ -77,15 +68,6 @@ def csv_cells(table: bytes) -> list[list[str]]:
         assert number or not cell.startswith(("=", "+", "-", "@", "\t", "\r")), cell
     assert len({len(row) for row in rows}) == 1
     return rows
-
-
-def json_values(text: bytes) -> list[object]:
-    """The values of JSON, or of lines of it."""
-    seen(text)
-    try:
-        return [json.loads(text)]
-    except ValueError:
-        return [json.loads(line) for line in text.splitlines()]
 
 
 def c_lines(text: str) -> list[list[str]]:
