@@ -25,10 +25,9 @@ from bilprov.analyzer.transport.port import open_pty
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk
 from tests.support import ROOT
-from tests.support.commands import PATIENCE, Done, command
+from tests.support.commands import PATIENCE, Done, command, running
 from tests.support.reports import timeless
 from tests.support.robots import sentence, simulate, until
-from tests.support.wires import running
 
 pytestmark = pytest.mark.waits
 

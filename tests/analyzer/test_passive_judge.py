@@ -26,11 +26,11 @@ from bilprov.spec.protocol import Protocol, load
 from bilprov.spec.readings import other_choices
 from bilprov.spec.replies import build_reply, read_reply
 from tests.support import ROOT
+from tests.support.commands import running
 from tests.support.decoding import capture_session
 from tests.support.framed_traffic import FRAMED
 from tests.support.recordings import recorded
-from tests.support.robots import MS
-from tests.support.wires import PtyRobot, running, served
+from tests.support.robots import MS, RecordingRobot, served_here
 
 Event = Chunk | Line | Look
 DOCUMENT = load((ROOT / "spec" / "grammar.py").read_text(encoding="utf-8"))
@@ -331,9 +331,9 @@ def test_attached_anywhere_a_conforming_device_is_never_accused(
 @pytest.mark.waits
 @pytest.mark.parametrize("wrong", [{}, {b"\x81\x09": 0}])
 def test_sniff_judges_what_passes_a_bridge(protocol: Protocol, wrong: dict[bytes, int]) -> None:
-    robot = PtyRobot(protocol, wrong)
+    robot = RecordingRobot(protocol, wrong)
     with (
-        served(robot) as port,
+        served_here(robot, pty=True) as (port, _),
         running("sniff", "--bridge", port, "--judge", "--format", "lines") as sniffing,
         open_port(sniffing.stderr.readline().decode().strip()) as host,
     ):

@@ -22,10 +22,9 @@ from bilprov.conformance.dut.target import device_target
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.spec.protocol import Protocol
-from tests.support.commands import command, process
+from tests.support.commands import Running, command, process, running
 from tests.support.robots import PATIENCE, Served, judged_exit, sentence, served_here, simulate
 from tests.support.terminals import on_terminal
-from tests.support.wires import Running, running
 
 pytestmark = pytest.mark.waits
 

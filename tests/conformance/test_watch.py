@@ -18,10 +18,9 @@ from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import SIMAVR, TargetName
 from bilprov.conformance.oracle.verdicts import Cause, Verdict
 from bilprov.spec.protocol import Protocol
-from tests.support.commands import command
+from tests.support.commands import Running, command, running
 from tests.support.reports import a_case, a_run
 from tests.support.robots import PATIENCE, plugged, simulate
-from tests.support.wires import Running, running
 
 FAULTY = ("--fault", "ok-to-bad-data")  # it stops, so that it is judged soon
 LED = "bad-data/LED/8"

@@ -196,8 +196,8 @@ def test_firmware_that_crashed_stays_served_and_ends_with_2() -> None:
         served.process.send_signal(signal.SIGINT)
         out, err = served.process.communicate(timeout=PATIENCE)
 
-    assert told.startswith("the firmware crashed ")
-    assert (served.process.returncode, out, err) == (2, "", "")
+    assert told.startswith(b"the firmware crashed ")
+    assert (served.process.returncode, out, err) == (2, b"", b"")
 
 
 @AVR

@@ -11,9 +11,10 @@ import pytest
 from bilprov.analyzer.transport.port import open_port
 from bilprov.conformance.dut.boards import EmulatorError
 from bilprov.conformance.dut.boards.firmware import read_firmware
+from tests.support.commands import running
 from tests.support.firmware import AVR, END, Bench, compiled, record
 from tests.support.robots import MS, emulate
-from tests.support.wires import read_from, running
+from tests.support.wires import read_from
 
 pytestmark = pytest.mark.waits
 

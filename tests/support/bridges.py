@@ -10,8 +10,7 @@ from typing import Any
 
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk
-from tests.support.commands import command
-from tests.support.wires import running
+from tests.support.commands import command, running
 
 
 @contextmanager

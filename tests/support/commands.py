@@ -1,14 +1,17 @@
-"""Runs the command `bilprov` to its end, in this process or in a process of its own."""
+"""Runs the command `bilprov`, in this process or in a process of its own."""
 
 from __future__ import annotations
 
 import io
 import os
 import shlex
+import signal
 import subprocess
 import sys
 import tempfile
-from contextlib import ExitStack, chdir
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, chdir, contextmanager
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -119,3 +122,52 @@ def process(*arguments: str, code: str = "", **options: Any) -> Done:
     start = ["-c", code] if code else ["-m", "bilprov"]
     words = [sys.executable, *start, *arguments]
     return subprocess.run(words, capture_output=True, env=variables, check=False, **options)
+
+
+class Running:
+    """The command while it runs."""
+
+    def __init__(self, *arguments: str) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "bilprov", *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            cwd=ROOT,
+            bufsize=0,  # `communicate` does not give what a buffer holds
+            process_group=0,  # in the group of tests run in the background nothing is suspended
+        )
+        assert self.process.stdout is not None
+        assert self.process.stderr is not None
+        self.stdout, self.stderr = self.process.stdout, self.process.stderr
+
+    def wait_for(self, path: Path) -> None:
+        """Wait until the capture exists: from then on the ports are open."""
+        give_up = time.monotonic() + PATIENCE
+        while not path.exists():
+            assert self.process.poll() is None, self.stderr.read().decode()
+            assert time.monotonic() < give_up
+            time.sleep(0.01)
+
+    def end(self, how: signal.Signals = signal.SIGINT) -> tuple[int, bytes, bytes]:
+        """Stop it; gives exit code, standard output and standard error."""
+        self.process.send_signal(how)
+        return self.result()
+
+    def result(self) -> tuple[int, bytes, bytes]:
+        """Wait for its end."""
+        out, err = self.process.communicate(timeout=PATIENCE)
+        return self.process.returncode, out, err
+
+
+@contextmanager
+def running(*arguments: str) -> Iterator[Running]:
+    command = Running(*arguments)
+    try:
+        yield command
+    finally:
+        if command.process.poll() is None:
+            command.process.kill()
+        command.process.wait()
+        command.stdout.close()
+        command.stderr.close()

@@ -6,11 +6,11 @@ import json
 import signal
 import socket
 import subprocess
-import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,7 @@ from bilprov.captures.schemas import Look
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.levels import AnyCase
 from bilprov.conformance.cases.single_frames import all_cases
-from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator
 from bilprov.conformance.dut.target import Environment, Observability, Target, VirtualLink
 from bilprov.conformance.mutation.catalogue import find_fault
 from bilprov.conformance.oracle.profile import Profile, Timers
@@ -39,7 +39,7 @@ from bilprov.conformance.runner.executor import Runner
 from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.conformance.runner.run import Run, RunConfig
 from bilprov.spec.protocol import Protocol
-from tests.support import ROOT
+from tests.support.commands import running
 
 MS = 1_000_000
 BYTE_TIME = 86_806  # ns at 115,200 8N1
@@ -74,6 +74,23 @@ class Hidden:
     def __init__(self, device: Simulator) -> None:
         self.receive, self.advance = device.receive, device.advance
         self.deadline, self.look = device.deadline, device.look
+
+
+class RecordingRobot(Simulator):
+    """A robot that keeps the frames it heard; `wrong` has other answers to some, None for none."""
+
+    def __init__(self, protocol: Protocol, wrong: Mapping[bytes, int | None] | None = None) -> None:
+        self.heard: list[bytes] = []
+        self._wrong = wrong or {}
+        super().__init__(protocol, Fault("x", "test", "", react=self._react))
+
+    def _react(self, device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+        frame = event.judgement.frame
+        self.heard.append(frame)
+        if frame not in self._wrong:
+            return reaction
+        code = self._wrong[frame]
+        return replace(reaction, answers=() if code is None else ((0, code),))
 
 
 class CountingLink:
@@ -264,7 +281,7 @@ def sentence(result: subprocess.CompletedProcess[bytes]) -> str:
 class Served:
     """A robot that is served by the command: its line, which was announced first, and its probe."""
 
-    def __init__(self, process: subprocess.Popen[str], lines: list[str]) -> None:
+    def __init__(self, process: subprocess.Popen[bytes], lines: list[str]) -> None:
         self.process = process
         self.lines = lines
         self.port = lines[0]
@@ -272,20 +289,11 @@ class Served:
 
     def state(self) -> dict[str, Any]:
         """What its probe tells now."""
-        if self.process.poll() is not None:
-            assert self.process.stderr is not None
-            raise AssertionError(
-                f"the robot ended ({self.process.returncode}): {self.process.stderr.read()}"
-            )
-        host, port = parse_address(self.probe.removeprefix("tcp:"))
-        with socket.create_connection((host, port), timeout=PATIENCE) as probe:
+        assert self.process.poll() is None, "the robot ended"
+        address = parse_address(self.probe.removeprefix("tcp:"))
+        with socket.create_connection(address, PATIENCE) as probe, probe.makefile("rb") as said:
             probe.sendall(b"state\n")
-            line = b""
-            while not line.endswith(b"\n"):
-                data = probe.recv(4096)
-                assert data, "the probe hung up"
-                line += data
-        state = json.loads(line)
+            state = json.loads(said.readline())
         assert isinstance(state, dict)
         assert state.pop("number") == 0  # the reply's own, of a question without one
         return state
@@ -320,24 +328,12 @@ def emulate(
 
 @contextmanager
 def _serving(*words: str, lines: int = 2, probe: str = "127.0.0.1:0") -> Iterator[Served]:
-    process = subprocess.Popen(
-        [sys.executable, "-m", "bilprov", *words, *(("--probe-listen", probe) if probe else ())],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        cwd=ROOT,
-    )
-    with process:
-        assert process.stdout is not None
-        assert process.stderr is not None
-        try:
-            announced = [process.stdout.readline().strip() for _ in range(lines)]
-            assert all(announced), process.stderr.read()
-            yield Served(process, announced)
-        finally:
-            if process.poll() is None:
-                process.send_signal(signal.SIGTERM)
+    with running(*words, *(("--probe-listen", probe) if probe else ())) as command:
+        announced = [command.stdout.readline().decode().strip() for _ in range(lines)]
+        assert all(announced), command.stderr.read()
+        yield Served(command.process, announced)
+        if command.process.poll() is None:
+            command.end(signal.SIGTERM)
 
 
 def until(condition: Callable[[], object]) -> None:

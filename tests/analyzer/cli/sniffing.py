@@ -15,7 +15,8 @@ from bilprov.analyzer.transport.port import PtyPair, open_pty
 from bilprov.captures.parts import part_path
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk
-from tests.support.wires import Running, json_lines, running
+from tests.support.commands import Running, running
+from tests.support.wires import json_lines
 
 
 @dataclass(frozen=True)

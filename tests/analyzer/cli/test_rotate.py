@@ -23,8 +23,8 @@ from tests.analyzer.cli.sniffing import Sniffing, kept, sniffing, write
 from tests.support import commands
 from tests.support.attaching import Talk, attached
 from tests.support.captures import about
-from tests.support.robots import until
-from tests.support.wires import PtyRobot, json_lines, served
+from tests.support.robots import RecordingRobot, served_here, until
+from tests.support.wires import json_lines
 
 START = 1_790_000_000_000_000_000
 NAME = "drive.mcap"
@@ -103,7 +103,7 @@ def test_a_fault_at_a_seam_ends_the_recording_alone_and_leaves_what_was_before(
 @pytest.mark.waits
 def test_a_bridge_hands_on_though_a_part_cannot_be_closed(path: Path, protocol: Protocol) -> None:
     with (
-        served(PtyRobot(protocol)) as port,
+        served_here(RecordingRobot(protocol), pty=True) as (port, _),
         sniffing(path, "--bridge", port, "--rotate", "1s", taps=0) as one,
         open_port(one.error().strip()) as host,
     ):

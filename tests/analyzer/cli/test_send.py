@@ -20,9 +20,9 @@ from bilprov.conformance.cli.shell.items import _resumed
 from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.spec.protocol import Protocol
-from tests.support.commands import command
+from tests.support.commands import command, running
 from tests.support.robots import PATIENCE, ProbeServer, plugged, served_here, simulate, until
-from tests.support.wires import json_lines, running
+from tests.support.wires import json_lines
 
 pytestmark = pytest.mark.waits
 

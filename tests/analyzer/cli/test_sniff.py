@@ -19,9 +19,10 @@ from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol
 from tests.analyzer.cli.sniffing import Sniffing, kept, promptly, sniffing, write
 from tests.support import commands
+from tests.support.commands import running
 from tests.support.messages import messages
-from tests.support.robots import until
-from tests.support.wires import PtyRobot, json_lines, running, served
+from tests.support.robots import RecordingRobot, served_here, until
+from tests.support.wires import json_lines
 
 pytestmark = pytest.mark.waits
 
@@ -257,9 +258,9 @@ def test_a_capture_that_fails_is_said_at_once_and_at_the_end_and_decoding_goes_o
 def test_a_bridge_passes_every_byte_also_where_the_disk_is_full(
     path: Path, protocol: Protocol, full: bool
 ) -> None:
-    robot = PtyRobot(protocol)
+    robot = RecordingRobot(protocol)
     with (
-        served(robot) as port,
+        served_here(robot, pty=True) as (port, _),
         sniffing(path, "--bridge", port, "--yes", taps=0) as one,
         open_port(one.error().strip()) as host,
     ):
@@ -277,7 +278,7 @@ def test_a_bridge_passes_every_byte_also_where_the_disk_is_full(
             answers += answer
         code, _, err = one.command.end()
 
-    assert robot.frames == [b"\x11\xff", b"\x20", b"\x81\x09"]
+    assert robot.heard == [b"\x11\xff", b"\x20", b"\x81\x09"]
     assert answers == b"\x00\x00\x02"
     assert (code, b"disk full" in err) == (2 * full, full)
     assert open_capture(path).metadata["attached"] == "no"

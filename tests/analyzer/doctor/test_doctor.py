@@ -22,9 +22,9 @@ from bilprov.analyzer.transport.port import open_pty
 from bilprov.captures.schemas import Chunk, Direction, Line
 from bilprov.spec.protocol import Protocol
 from tests.support.attaching import Talk, attached
-from tests.support.commands import command
+from tests.support.commands import command, running
 from tests.support.machines import FakeMachine
-from tests.support.wires import PtyRobot, running, served
+from tests.support.robots import RecordingRobot, served_here
 
 PORT = "/dev/ttyUSB0"
 MM_IGNORED = "E:ID_MM_DEVICE_IGNORE=1\n"
@@ -209,11 +209,11 @@ def test_framing_errors_mean_another_baud_rate(protocol: Protocol) -> None:
 
 @pytest.mark.waits
 def test_a_robot_on_a_pty_is_usable_and_hears_nothing(protocol: Protocol) -> None:
-    robot = PtyRobot(protocol)
-    with served(robot) as name:
+    robot = RecordingRobot(protocol)
+    with served_here(robot, pty=True) as (name, _):
         result = command("ports", name, "--seconds", "0.2")
     assert (result.returncode, result.stderr) == (0, b"")
-    assert robot.frames == []
+    assert robot.heard == []
     said = result.stdout.decode()
     assert "nobody else holds it" in said
     assert said.endswith(f"{name} can be used\n")

@@ -22,13 +22,12 @@ from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.captures import write_capture
-from tests.support.commands import command, process
+from tests.support.commands import command, process, running
 from tests.support.csv_cells import plain
 from tests.support.decoding import Event, conversation
 from tests.support.grammars import undeclared
 from tests.support.robots import until
 from tests.support.terminals import on_terminal
-from tests.support.wires import running
 
 pytestmark = pytest.mark.usefixtures("columns_at_once")
 

@@ -32,7 +32,6 @@ from tests.support.csv_cells import plain
 from tests.support.decoding import MS, conversation, decoded
 from tests.support.framed_traffic import FRAMED
 from tests.support.traffic import ACTS, SETTINGS, Acts, played
-from tests.support.wires import running
 
 WALL = 1_700_000_000_000_000_000  # 2023-11-14T22:13:20Z
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -22,10 +21,11 @@ from bilprov.spec.protocol import PLAIN_ANSWER, Protocol, load
 from bilprov.spec.replies import build_reply
 from tests.support import commands
 from tests.support.captures import write_capture
+from tests.support.commands import running
 from tests.support.decoding import MS, Event, conversation
 from tests.support.framed_traffic import FRAMED
-from tests.support.robots import until
-from tests.support.wires import PtyRobot, json_lines, running, served
+from tests.support.robots import RecordingRobot, served_here, until
+from tests.support.wires import json_lines
 
 pytestmark = pytest.mark.waits
 
@@ -82,15 +82,15 @@ def test_a_recording_that_is_not_judged_to_its_end_conforms_no_more_than_it_was_
 def test_a_device_that_answers_as_recorded_is_fine(
     capture: Write, protocol: Protocol, rate: str
 ) -> None:
-    robot = PtyRobot(protocol)
+    robot = RecordingRobot(protocol)
     path = capture(conversation(TALK))
 
-    with served(robot) as port:
+    with served_here(robot, pty=True) as (port, _):
         run = commands.command("replay", str(path), "--rate", rate, "--to", port, "--yes")
 
     assert run.returncode == 0, run.stderr
     homing = [bytes([protocol.pad_byte])] * protocol.longest_frame
-    assert robot.frames == [*homing, *(said for said, _ in TALK), *homing]
+    assert robot.heard == [*homing, *(said for said, _ in TALK), *homing]
 
 
 def test_a_device_that_is_lost_in_the_last_homing_is_no_success(
@@ -99,7 +99,10 @@ def test_a_device_that_is_lost_in_the_last_homing_is_no_success(
     path, port = capture(conversation(TALK)), tmp_path / "port"
     before = protocol.longest_frame + sum(len(said) for said, _ in TALK)
 
-    with served(PtyRobot(protocol)) as line, Adapter(port, line, [before + 1], None):
+    with (
+        served_here(RecordingRobot(protocol), pty=True) as (line, _),
+        Adapter(port, line, [before + 1], None),
+    ):
         run = commands.command("replay", str(path), "--rate", "0", "--to", str(port), "--yes")
 
     assert run.returncode == 1, run.stderr
@@ -107,7 +110,7 @@ def test_a_device_that_is_lost_in_the_last_homing_is_no_success(
 
 
 def test_a_frame_cut_short_is_sent_cut_short(capture: Write, protocol: Protocol) -> None:
-    robot = PtyRobot(protocol)
+    robot = RecordingRobot(protocol)
     events = [
         Chunk(0, "host", b"\x11"),
         Chunk(51 * MS, "device", b"\x04"),
@@ -115,65 +118,57 @@ def test_a_frame_cut_short_is_sent_cut_short(capture: Write, protocol: Protocol)
         Chunk(101 * MS, "device", b"\x00"),
     ]
 
-    with served(robot) as port:
+    with served_here(robot, pty=True) as (port, _):
         run = commands.command("replay", str(capture(events)), "--rate", "0", "--to", port, "--yes")
 
     assert run.returncode == 0, run.stdout
-    assert robot.frames[16:-16] == [b"\x11", b"\x20"]
+    assert robot.heard[16:-16] == [b"\x11", b"\x20"]
 
 
 def test_ctrl_c_leaves_the_device_stopped(capture: Write, protocol: Protocol) -> None:
-    robot = PtyRobot(protocol)
+    robot = RecordingRobot(protocol)
     path = capture([Chunk(0, "host", b"\x11\xff\x20"), Chunk(3600_000 * MS, "host", b"\x00")])
 
     with (
-        served(robot) as port,
+        served_here(robot, pty=True) as (port, _),
         running("replay", str(path), "--to", port, "--yes", "--format", "jsonl") as command,
     ):
-        until(lambda: b"\x20" in robot.frames)
+        until(lambda: b"\x20" in robot.heard)
         code, _, _ = command.end()
 
     assert code == 0
-    assert robot.frames[-16:] == [bytes([protocol.pad_byte])] * 16
+    assert robot.heard[-16:] == [bytes([protocol.pad_byte])] * 16
 
 
 def test_ctrl_c_ends_what_is_sent_as_fast_as_it_is_answered(
     capture: Write, protocol: Protocol
 ) -> None:
     """All of it came at once; each frame waits for an answer that never comes."""
-
-    class Silent(PtyRobot):
-        def _take(self, records: Any) -> None:
-            for record in records:
-                super()._take([record])
-                if record.data == b"\x20":
-                    self._answers.pop()
-
-    robot = Silent(protocol)
+    robot = RecordingRobot(protocol, wrong={b"\x20": None})
     path = capture([Chunk(0, "host", b"\x11\xff" + b"\x20" * 300)])  # few enough for a pipe
 
     with (
-        served(robot) as port,
+        served_here(robot, pty=True) as (port, _),
         running("replay", str(path), "--rate", "0", "--to", port, "--yes") as command,
     ):
-        until(lambda: robot.frames.count(b"\x20") >= 2)
+        until(lambda: robot.heard.count(b"\x20") >= 2)
         code, _, _ = command.end()
 
     assert code in (0, 1)  # 1: nobody answers the stops
-    assert 2 <= robot.frames.count(b"\x20") < 100
+    assert 2 <= robot.heard.count(b"\x20") < 100
 
 
 def test_without_a_terminal_a_device_moves_only_with_yes(
     capture: Write, protocol: Protocol
 ) -> None:
-    robot = PtyRobot(protocol)
+    robot = RecordingRobot(protocol)
 
-    with served(robot) as port:
+    with served_here(robot, pty=True) as (port, _):
         run = commands.command("replay", str(capture(conversation(TALK))), "--to", port)
 
     assert run.returncode == 2
     assert b"--yes" in run.stderr
-    assert robot.frames == []
+    assert robot.heard == []
 
 
 def run_of(protocol: Protocol, asked: bytes, answered: bytes) -> Exchanges:

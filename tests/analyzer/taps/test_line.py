@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 
 from bilprov.analyzer.taps.relay import ImpairedDirection, Noise
 from bilprov.analyzer.transport.port import open_port
-from tests.support.wires import PATIENCE, Running, running
+from tests.support.commands import Running, running
+from tests.support.robots import PATIENCE
 
 pytestmark = pytest.mark.waits
 

@@ -16,8 +16,8 @@ from pathlib import Path
 import pytest
 
 from bilprov.analyzer.transport.port import open_port
+from tests.support.commands import running
 from tests.support.robots import PATIENCE
-from tests.support.wires import running
 
 pytestmark = pytest.mark.waits
 

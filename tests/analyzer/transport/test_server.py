@@ -23,8 +23,9 @@ from bilprov.analyzer.transport.server import (
     serve,
 )
 from bilprov.analyzer.transport.signals import Stopper
+from tests.support.commands import running
 from tests.support.robots import PATIENCE, serving
-from tests.support.wires import read_from, running
+from tests.support.wires import read_from
 
 pytestmark = pytest.mark.waits
 

@@ -8,9 +8,8 @@ import pytest
 
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.spec.protocol import Protocol
-from tests.support.commands import command, process
+from tests.support.commands import command, process, running
 from tests.support.robots import at_rest, sentence, served_here, until
-from tests.support.wires import running
 
 FAULT = "ok-to-faults-while-forward"
 
