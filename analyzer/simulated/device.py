@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from copy import deepcopy
 from random import Random
 from typing import Any
@@ -226,9 +227,11 @@ def drawn_request(protocol: Protocol, chance: Random) -> bytes:
     for part in layout.parts:
         if part.role == "address":
             parts[part.name] = chance.randint(part.low, min(part.high, part.low + _ADDRESSES - 1))
-    while len(data := _data(spec, chance)) > _LONGEST:
-        pass  # what the length of a frame cannot count is drawn again
-    return layout.build(parts, data)
+    while True:  # what the length of a frame cannot count is drawn again
+        data = _data(spec, chance)
+        with suppress(OverflowError):
+            if len(data) <= _LONGEST:
+                return layout.build(parts, data)
 
 
 def faulty_request(protocol: Protocol, chance: Random) -> bytes:

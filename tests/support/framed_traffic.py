@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from pathlib import Path
+from contextlib import suppress
 from random import Random
 from typing import Any, NamedTuple
 
-from bilprov.analyzer.decode.records import shapes_of
-from bilprov.analyzer.replay.recorder import RecordWriter, session_metadata
+from bilprov.analyzer.simulated import device
 from bilprov.captures.schemas import Chunk, Direction, Line
-from bilprov.spec.codec import Judgement, build, judge
+from bilprov.spec.codec import build, judge
 from bilprov.spec.data import DataSpec
-from bilprov.spec.protocol import InstructionSpec, Protocol
+from bilprov.spec.protocol import Protocol
 from bilprov.spec.replies import asked_values, build_reply
 from tests.support import ROOT
 from tests.support.decoding import MS, Event
 from tests.support.drawn_layouts import drawn_fields
 
-START = 1_790_000_000_000_000_000  # ns since 1970
 _LINES = ("break", "open", "parity", "gap", "overrun", "unplugged", "reconnected", "waited")
 
 
@@ -53,52 +50,32 @@ def exchanges(protocol: Protocol, random: Random, count: int, how: Traffic) -> l
 
 
 def drawn_request(protocol: Protocol, random: Random) -> bytes:
-    """A valid request, sometimes to all."""
-    spec = random.choice(protocol.instructions)
-    values: dict[str, Any] = {}
+    """A valid request to any address, sometimes to all."""
+    asked = judge(protocol, device.drawn_request(protocol, random))
+    assert asked.instruction
+    values: dict[str, Any] = dict(asked.fields)
     for part in protocol.layout.parts:
         if part.role == "address":
             to = random.randint(part.low, part.high)
             values[part.name] = 0 if part.broadcast == 0 and random.random() < 0.05 else to
         if part.role == "other":
             values[part.name] = random.randint(0, part.most)
-    return build(protocol, spec.name, values | request_fields(random, spec))
-
-
-def request_fields(random: Random, spec: InstructionSpec) -> dict[str, Any]:
-    """Values for the fields of a request; no answer becomes long."""
-    values = drawn_fields(random, spec)
-    numbers = [one for one in spec.fields if one.number]
-    while not all(one.in_range(values[one.name]) for one in numbers):  # a counted field is empty
-        values = drawn_fields(random, spec)
-    for name in ("size", "quantity", "read_quantity"):
-        if name in values and not any(p.many and p.many.expression for p in spec.fields):
-            values[name] = random.randint(1, 9)
-    memory = spec.writes
-    if memory and memory.count in values and not memory.blocks:  # the count is that of the cells
-        values[memory.value] = values[memory.value] or (b"\0" if memory.bits else (0,))
-        values[memory.count] = len(values[memory.value]) * (8 if memory.bits else 1)
-    return values
+    return build(protocol, asked.instruction.name, values)
 
 
 def drawn_answer(protocol: Protocol, random: Random, request: bytes) -> bytes:
     """The right answer to a request, with drawn data; b"" if none is due."""
     asked = judge(protocol, request)
-    spec = asked.instruction.answer if asked.instruction else None
-    return build_reply(protocol, asked, answer_fields(protocol, random, asked, spec or DataSpec()))
-
-
-def answer_fields(
-    protocol: Protocol, random: Random, asked: Judgement, spec: DataSpec
-) -> dict[str, Any]:
-    """Values for the fields of an answer; a last one that the request counts is left out."""
+    spec = (asked.instruction.answer if asked.instruction else None) or DataSpec()
     values = drawn_fields(random, spec)
     counted = spec.counted
-    known = asked_values(protocol, asked)
     if counted and counted.expression and "size" not in {part.name for part in spec.fields}:
-        last = spec.fields[-1].name
-        values[last] = bytes(int(known.get("size", 0)))
-    return values
+        # the request counts the last field
+        size = int(asked_values(protocol, asked).get("size", 0))
+        values[spec.fields[-1].name] = bytes(size)
+    with suppress(OverflowError):  # more is asked for than the length of an answer can count
+        return build_reply(protocol, asked, values)
+    return b""
 
 
 def _cut(random: Random, data: bytes, most: int) -> list[bytes]:
@@ -159,23 +136,14 @@ WITH_SYNC = READS_UNCHECKED.replace("FRAME = Struct(", 'FRAME = Struct(\n    Con
 """The same with a fixed byte in front, which the check does not count."""
 
 
-def odd_traffic(protocol: Protocol, seed: int = 1, count: int = 40) -> list[Event]:
-    """So many exchanges of which each second is damaged somehow, behind an answer nobody asked for.
+def odd_traffic(
+    protocol: Protocol, seed: int = 1, count: int = 40, odd: float = 0.5
+) -> list[Event]:
+    """So many exchanges, a share of them damaged somehow, behind an answer nobody asked for.
 
     Two requests of each three wait for their answers together.
     """
     random = Random(seed)
     unasked = drawn_answer(protocol, random, drawn_request(protocol, random)) or b"\xff"
-    how = Traffic(odd=0.5, pipelined=3)
+    how = Traffic(odd, pipelined=3)
     return [Chunk(0, "device", unasked), *exchanges(protocol, random, count, how)]
-
-
-def framed_capture(path: Path, protocol: Protocol, events: Iterable[Event], later: int = 0) -> Path:
-    """A capture of these events, which begins so many seconds after others."""
-    both: tuple[Direction, Direction] = ("host", "device")
-    about = session_metadata(protocol, ports={}, line="", timeout=50 * MS, skew=0, heard=both)
-    start = START + later * 1_000_000_000
-    with RecordWriter(path, start, about, shapes_of(protocol)) as writer:
-        for event in events:
-            writer.event(event)
-    return path

@@ -6,7 +6,7 @@ import io
 import shutil
 import struct
 import subprocess
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,13 +17,12 @@ from bilprov.analyzer.export.rows import Chosen
 from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.grammar_file import dissector_program
 from bilprov.analyzer.output.outputs import Window
-from bilprov.analyzer.replay.recorder import session_metadata
 from bilprov.captures.reader import open_capture
-from bilprov.captures.schemas import MS, Chunk, Line
+from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.emit.python import snake_case
 from bilprov.spec.emit.wireshark import lua_dissector
 from bilprov.spec.protocol import Protocol
-from tests.support.captures import write_capture
+from tests.support.captures import about, write_capture
 
 WALL = 1_790_000_000_123_456_789
 PATIENCE = 60.0  # s
@@ -48,17 +47,8 @@ def capture_of(
     path: Path, protocol: Protocol, events: Iterable[Chunk | Line], **metadata: str
 ) -> Path:
     """A capture of these events, in which the first byte of the host is a header."""
-    ports = {"host": "/dev/ttyUSB0", "device": "/dev/ttyUSB1"}
-    heard: Sequence[str] = metadata.pop("heard", "host device").split()
-    about = session_metadata(
-        protocol,
-        ports=ports,
-        line="9600 8E1",
-        timeout=50 * MS,
-        skew=0,
-        heard=heard,  # type: ignore[arg-type]
-    )
-    return write_capture(path, events, about | metadata, WALL)
+    line = {"port_host": "/dev/ttyUSB0", "port_device": "/dev/ttyUSB1", "line": "9600 8E1"}
+    return write_capture(path, events, about(protocol) | line | metadata, WALL)
 
 
 def exported(

@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from bilprov.spec.protocol import load
+from tests.support.captures import START, about, write_capture
 from tests.support.commands import command, process
-from tests.support.framed_traffic import FRAMED, framed_capture, odd_traffic
+from tests.support.framed_traffic import FRAMED, odd_traffic
 
 # --------------------------------------------------------------------------------------------------
 
@@ -40,8 +41,10 @@ def test_no_command_fails_at_a_damaged_capture(tmp_path: Path, grammar: str) -> 
     (tmp_path / "grammar.py").write_text(FRAMED[grammar], encoding="utf-8")
     protocol = load(FRAMED[grammar], "grammar.py")
     for name, seed in (("a", 1), ("b", 2)):
-        framed_capture(tmp_path / f"{name}.mcap", protocol, odd_traffic(protocol, seed))
-    framed_capture(tmp_path / "later.mcap", protocol, odd_traffic(protocol), later=60)
+        events = odd_traffic(protocol, seed)
+        write_capture(tmp_path / f"{name}.mcap", events, about(protocol))
+    later = START + 60_000_000_000
+    write_capture(tmp_path / "later.mcap", odd_traffic(protocol), about(protocol), later)
 
     for line in READERS:
         done = command(*line.split(), cwd=tmp_path)

@@ -34,9 +34,9 @@ from bilprov.analyzer.transport.port import open_pty
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk
 from bilprov.spec.protocol import Protocol
+from tests.support.captures import about, write_capture
 from tests.support.commands import command
 from tests.support.decoding import MS, decoded, devices, hosts
-from tests.support.framed_traffic import framed_capture
 from tests.support.machines import FakeMachine
 
 MODBUS, STK500 = load_protocol("modbus-rtu"), load_protocol("stk500v1")
@@ -188,7 +188,7 @@ def test_an_answer_to_a_faster_replay_is_not_cut_by_a_pause_that_an_adapter_make
 ) -> None:
     monkeypatch.setattr(of_target, "Machine", lambda: machine)
     asked = [Chunk(MS, "host", READ), Chunk(2 * MS, "device", ANSWER)]
-    capture = framed_capture(tmp_path / "line.mcap", MODBUS, asked)
+    capture = write_capture(tmp_path / "line.mcap", asked, about(MODBUS))
     with answering_late(machine, 0.02) as port:
         done = command("replay", str(capture), "--to", port, "--yes", "--rate", "20")
     assert done.returncode == 0, done.stdout + done.stderr

@@ -28,6 +28,7 @@ from bilprov.analyzer.output.text_lines import LineRenderer, hex_width
 from bilprov.captures.schemas import Chunk
 from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.protocol import Protocol, load
+from tests.support.commands import running
 from tests.support.csv_cells import plain
 from tests.support.decoding import MS, conversation, decoded
 from tests.support.framed_traffic import FRAMED
