@@ -109,6 +109,7 @@ def _of_data(protocol: Protocol) -> Iterator[Feature]:
     for index in range(1, protocol.data_lengths[-1] + 1):
         words = f"with data byte {index} {{}}"
         yield Feature(f"byte {index}", _byte(index), words, 2 if index == 1 else 4, 8)
+    yield Feature("last byte", _last_byte, "with last data byte {}", 3, 8)
 
 
 def _field(name: str) -> Of:
@@ -119,6 +120,10 @@ def _byte(index: int) -> Of:
     return lambda e: e.step.frame[index] if index < len(e.step.frame) else None
 
 
+def _last_byte(exchange: Exchange) -> int | None:
+    return exchange.step.frame[-1] if len(exchange.step.frame) > 1 else None
+
+
 def _of_states(protocol: Protocol) -> Iterator[Feature]:
     for name, spec in protocol.variables.items():
         bits = 0 if spec.words else 8
@@ -126,6 +131,7 @@ def _of_states(protocol: Protocol) -> Iterator[Feature]:
         side = " to either side" if spec.low < 0 else ""
         yield Feature(f"{name} after", _after(name), f"then with {name} {{}}{side}", 3)
     yield Feature("moving before", _moved, "while it {}", 2)
+    yield Feature("motion set", _set_to_move, "while {}", 2)
 
 
 def _before(name: str) -> Of:
@@ -149,6 +155,15 @@ def _moved(exchange: Exchange) -> str | None:
     if exchange.before.unknown & {car.by, car.speed}:
         return None
     return "moves" if exchange.before.state.moving else "stands"
+
+
+def _set_to_move(exchange: Exchange) -> str | None:
+    """Whether a motion is set, which may show nothing where the speed is 0."""
+    car = exchange.before.state.wheels
+    if car.by in exchange.before.unknown:
+        return None
+    still = car.drive(exchange.before.state).motion == car.still
+    return "no motion is set" if still else "a motion is set"
 
 
 def _of_delivery() -> Iterator[Feature]:

@@ -108,6 +108,12 @@ class Effect:
         return self.relation.words == READS_DATA
 
     @property
+    def after_faults(self) -> bool:
+        """Whether it shows only where the frame before is faulty, too."""
+        before = (bag.exchanges[-1].previous for bag in self.bags)
+        return all(exchange is not None and exchange.step.faulty for exchange in before)
+
+    @property
     def keeps_moving(self) -> bool:
         """Whether the device moves where it must stand: what matters most."""
         return any(bag.keeps_moving for bag in self.bags)

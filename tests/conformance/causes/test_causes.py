@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -47,6 +48,7 @@ from bilprov.conformance.oracle.profile import Choices
 from bilprov.conformance.oracle.state_model import Model
 from bilprov.conformance.report.run_report import Report
 from bilprov.spec.fields import Outcome
+from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
 from tests.support.faults import EIGHT_BITS
 
@@ -218,6 +220,34 @@ def test_causes_follow_the_grammar(horn: Protocol) -> None:
     [cause] = report_of(horn, fault).causes
     assert cause.when == "Horn, with sound 3"
     assert cause.send == ("91 03",)
+
+
+def is_valid(event: Event, name: str) -> bool:
+    return event.judgement.valid and event.judgement.name == name
+
+
+@pytest.mark.sample(1)
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("wrong", "told", "when"),
+    [
+        (lambda e: not e.judgement.valid and e.judgement.frame[1:].endswith(b"\xff"),
+         "does not stop and steering stays as it was", "a faulty frame, with last data byte 255"),
+        (lambda e: is_valid(e, "LED") and e.before.motion != Motion.STOPPED,
+         "led stays as it was", "LED, while a motion is set"),
+    ],
+)  # fmt: skip
+def test_causes_know_the_last_data_byte_and_motions_that_speed_0_does_not_show(
+    protocol: Protocol, wrong: Callable[[Event], bool], told: str, when: str
+) -> None:
+    def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+        return replace(reaction, state=event.before) if wrong(event) else reaction
+
+    fault = replace(fault_bank(protocol)["always-0"], react=react)
+    options = Options(level="standard", only=("combined/pipelined/00*", "sequence/tour/0*"))
+    report = conform(Simulator(protocol, fault), grammar=protocol, options=options)
+    [cause] = report.causes
+    assert (cause.sentence.partition(" after ")[0], cause.when) == (told, when)
 
 
 def test_a_setting_kept_in_a_signed_byte_is_named_as_that(protocol: Protocol) -> None:
