@@ -278,15 +278,6 @@ def test_a_robot_seen_moving_after_a_fault_is_a_violation(name: str, protocol: P
 # -- what cannot be judged ------------------------------------------------------------------------
 
 
-def test_with_one_direction_alone_nothing_is_judged(protocol: Protocol) -> None:
-    alone: frozenset[Direction] = frozenset({"host"})
-    findings = judged(protocol, [host(0, "20"), host(100, "90")], heard=alone)
-
-    assert (findings.instructions, findings.judged) == (2, 0)
-    assert sum(findings.not_judged.values()) == 2
-    assert counts(findings)["headers"] == (2, 256)
-
-
 def traffic(protocol: Protocol, seed: int, pause: float) -> list[Event]:
     """Ordinary driving of a conforming device, faults among it; pauses in ms."""
     draw, device_, now = random.Random(seed), Simulator(protocol), 0

@@ -12,7 +12,7 @@ from bilprov.analyzer.decode.records import Record
 from bilprov.analyzer.decode.session import Session
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.protocol import Protocol
-from tests.support.decoding import MS, Event, decoded, devices, hosts, kinds
+from tests.support.decoding import MS, Event, decoded, devices, hosts
 from tests.support.traffic import ACTS, Acts, played
 
 
@@ -97,16 +97,6 @@ def test_an_answer_in_the_midst_of_a_frame_shows_that_the_device_gave_it_up(
 
     assert [r.value.kind for r in hosts(records)] == kinds
     assert [(r.value.instruction, r.value.agrees) for r in devices(records)] == pairs
-
-
-FAULTY = ("break", "parity", "framing", "overrun", "unplugged")
-
-
-@pytest.mark.parametrize("event", [*FAULTY, "open", "close", "modem"])
-def test_what_goes_wrong_on_a_line_is_a_fault_and_what_merely_happens_is_none(
-    protocol: Protocol, event: str
-) -> None:
-    assert len(kinds(decoded(Session(protocol), [Line(0, event, "host")]))) == (event in FAULTY)
 
 
 @pytest.mark.parametrize("tap", ["host", "device", ""])

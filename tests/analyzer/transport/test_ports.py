@@ -20,7 +20,7 @@ import serial.rfc2217
 
 from bilprov.analyzer.transport.errors import LinkError, link_lost, opening_failed
 from bilprov.analyzer.transport.line_settings import LineSettings
-from bilprov.analyzer.transport.machine import Machine, list_ports
+from bilprov.analyzer.transport.machine import Machine
 from bilprov.analyzer.transport.port import Port, PtyPair, open_port, open_pty
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
@@ -299,14 +299,6 @@ def test_closing_twice_is_as_good_as_once_and_a_closed_port_says_so(pty: PtyPair
 # What cannot be opened
 
 
-def test_a_port_that_is_not_there() -> None:
-    sentence = refusal("/dev/ttyNOPE0")
-    assert sentence.startswith("there is no /dev/ttyNOPE0; ports here: ")
-    assert sentence.endswith("; see `bilprov ports`")
-    for found in list_ports():
-        assert found.path in sentence
-
-
 def test_a_port_in_use(pty: PtyPair, port: Port) -> None:
     already = f"{pty.name} is open in this program already; a port is opened once"
     assert refusal(pty.name) == refusal(f"spy://{pty.name}") == already
@@ -361,16 +353,6 @@ def test_a_port_without_permission_says_who_may_and_which_group_to_join(
     assert done.stdout == f"permission to open {pty.name} is denied: {because}\n"
 
 
-def test_what_is_no_serial_port(tmp_path: Path) -> None:
-    file = tmp_path / "notes.txt"
-    file.write_text("no port")
-    assert refusal(str(tmp_path)).startswith(f"{tmp_path} is a folder, not a serial port")
-    assert refusal(str(file)).startswith(f"{file} is not a serial port")
-    assert refusal("/dev/null").startswith("/dev/null is not a serial port")
-    assert refusal(f"{file}/x").startswith(f"there is no {file}/x")
-    assert file.read_text() == "no port"
-
-
 def test_a_url_is_no_path_also_where_the_working_folder_is_gone(
     listener: socket.socket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -379,16 +361,6 @@ def test_a_url_is_no_path_also_where_the_working_folder_is_gone(
     (tmp_path / "gone").rmdir()
     with open_port(url(listener)) as port:
         assert Machine().least_pause(port.name) == 0
-
-
-def test_an_address_where_nobody_listens(listener: socket.socket) -> None:
-    name = url(listener)
-    listener.close()
-    address = name.removeprefix("socket://")
-    assert refusal(name) == (
-        f"nobody listens at {address} ({name}); is the program that serves it running?"
-    )
-    assert refusal(f"rfc2217://{address}").startswith(f"nobody listens at {address}")
 
 
 @pytest.mark.parametrize("number", [errno.ENXIO, errno.ENODEV, errno.EIO])
