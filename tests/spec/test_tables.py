@@ -10,19 +10,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bilprov.spec.arrays.layouts import OUTCOMES
 from bilprov.spec.arrays.states import Known
 from bilprov.spec.arrays.tables import RequestTables, request_tables
-from bilprov.spec.codec import Steps, build, judge, nearest, raw_frame
+from bilprov.spec.codec import Steps, build, judge, raw_frame
 from bilprov.spec.framing import Framer
-from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol, load
 from bilprov.spec.state import OTHERS, State, after
-from tests.support.car import VARIABLES, car_state
+from tests.support.car import car_state
 from tests.support.framed_traffic import FRAMED
 from tests.support.grammars import undeclared
 
-MOTIONS = tuple(Motion)
 BLOCK = 1 << 16  # how many bytes are tokenized at once: lengths around it are tried
 
 
@@ -39,51 +36,6 @@ def framed(protocol: Protocol, data: bytes) -> tuple[list[int], int]:
 def found(tables: RequestTables, data: bytes, start: int = 0) -> tuple[list[int], int]:
     offsets, end = tables.offsets(np.frombuffer(data, np.uint8), start)
     return offsets.tolist(), end
-
-
-def every_first_byte(protocol: Protocol, random: Random) -> list[bytes]:
-    """A frame of each header with each first data byte, the other data random, in random order."""
-    frames = [
-        (bytes([header, first]) + random.randbytes(length))[: 1 + length]
-        for header, length in enumerate(protocol.lengths)
-        for first in range(256)
-    ]
-    # Random data of a wide field are seldom valid.
-    frames += [nearest(protocol, frame) for frame in random.sample(frames, 5000)]
-    random.shuffle(frames)
-    return frames
-
-
-@pytest.mark.sample(1)
-@pytest.mark.slow
-def test_every_header_and_first_byte_has_the_verdict_and_the_state_of_the_grammar(
-    each_protocol: Protocol,
-) -> None:
-    frames = every_first_byte(each_protocol, Random(1))
-    data = np.frombuffer(b"".join(frames), np.uint8)
-    tables = request_tables(each_protocol)
-    before = each_protocol.state(motion=MOTIONS[2], speed=9, steering=-8, led=7)
-
-    requests, end, _ = tables.cut(data, 0)
-    known = Known(before, None)
-    states = [tables.states.column(name, data, requests, known) for name in VARIABLES]
-
-    starts = np.cumsum([0, *(len(frame) for frame in frames)])
-    assert (requests.offset.tolist(), end) == (starts[:-1].tolist(), starts[-1])
-    state, expected = before, []
-    for frame in frames:
-        judgement = judge(each_protocol, frame)
-        effect = each_protocol.on_fault
-        if judgement.valid and judgement.instruction:
-            effect = judgement.instruction.effect
-        state = effect.apply(state, dict(judgement.fields))
-        expected.append((judgement.outcome, MOTIONS.index(state.motion), *_numbers(state)))
-    verdicts = [OUTCOMES[code] for code in requests.verdict.tolist()]
-    assert list(zip(verdicts, *(column[1:].tolist() for column in states), strict=True)) == expected
-
-
-def _numbers(state: State) -> tuple[int, int, int]:
-    return state.speed, state.steering, state.led
 
 
 @given(stream=st.binary(max_size=300), cuts=st.lists(st.integers(0, 300), max_size=8))
