@@ -192,30 +192,30 @@ class Term(NamedTuple):
 class Trigger(NamedTuple):
     """A condition on frames: `terms`, from a frame of `since` until one of `until`, both included.
 
-    `memory` of the methods is what a device remembers; `key` sets apart what two triggers do.
+    `memory` of the methods is what a device remembers, each trigger under its `text`.
     """
 
     terms: tuple[Term, ...]
+    text: str
     since: Trigger | None = None
     until: Trigger | None = None
-    key: str = ""
 
     def holds(self, event: Event, memory: dict[str, int]) -> bool:
         """Whether the device misbehaves at this frame."""
         if self.since is None:
             return self._terms_hold(event, memory)
         if self.since.holds(event, memory):
-            memory["since"] = 1
-        active = "since" in memory and self._terms_hold(event, memory)
+            memory[f"since {self.text}"] = 1
+        active = f"since {self.text}" in memory and self._terms_hold(event, memory)
         if self.until is not None and self.until.holds(event, memory):
-            memory.pop("since", None)
+            memory.pop(f"since {self.text}", None)
         return active
 
     def _terms_hold(self, event: Event, memory: dict[str, int]) -> bool:
         for term in self.terms:
             if term.subject == "times":
-                count = memory.get(self.key + "times", 0)
-                memory[self.key + "times"] = count + 1
+                count = memory.get(f"times {self.text}", 0)
+                memory[f"times {self.text}"] = count + 1
                 if not term.holds(count):
                     return False
             elif not term.holds(term.of(event)):
@@ -229,14 +229,14 @@ class Trigger(NamedTuple):
 
 
 @cache
-def trigger(when: str, since: str = "", until: str = "", key: str = "") -> Trigger:
+def trigger(when: str, since: str = "", until: str = "") -> Trigger:
     """Return the trigger of this text. Raises ValueError, in one sentence, for an unknown word."""
     terms = tuple(_term(part.split()) for part in when.split(",") if part.strip())
     return Trigger(
         terms,
-        trigger(since, key="since ") if since else None,
-        trigger(until, key="until ") if until else None,
-        key,
+        f"{when}; {since}; {until}",
+        trigger(since) if since else None,
+        trigger(until) if until else None,
     )
 
 

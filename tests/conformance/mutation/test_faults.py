@@ -30,6 +30,7 @@ from bilprov.conformance.mutation.hooks import HOOKS
 from bilprov.conformance.mutation.score import (
     CauseScore,
     Explained,
+    both,
     cause_score,
     drawn_pairs,
     explained,
@@ -206,6 +207,15 @@ def test_an_unknown_word_of_a_trigger_is_refused(text: str) -> None:
         trigger(text)
 
 
+def test_of_two_faults_each_remembers_its_own(protocol: Protocol) -> None:
+    bank = fault_bank(protocol)
+    pair = bank["bad-data-fine-once-too-many-came"], bank["stays-dead-after-two-faults"]
+    device = Simulator(protocol, both(*pair))
+    for at, frame in enumerate(["11 ff", "21 00", "20"]):
+        device.receive(bytes.fromhex(frame), at * MS)
+    assert device.state.moving
+
+
 def test_a_template_is_filled_in_for_each_and_left_out_where_a_name_is_missing(
     protocol: Protocol,
 ) -> None:
@@ -234,9 +244,9 @@ def test_a_mixture_is_compared_with_what_the_device_has_chosen(protocol: Protoco
 @pytest.mark.slow
 def test_of_two_faults_each_has_its_cause(protocol: Protocol) -> None:
     score = cause_score(protocol, ["no-stop-on-truncated", "speed-bit-0-lost"], 1, "smoke")
-    [both] = score.pairs
-    assert both.name == "no-stop-on-truncated and speed-bit-0-lost"
-    assert (both.named, both.of) == (2, 2)
+    [pair] = score.pairs
+    assert pair.name == "no-stop-on-truncated and speed-bit-0-lost"
+    assert (pair.named, pair.of) == (2, 2)
     assert list(score.sentences()) == [
         "2 of 2 faults are exactly one cause, which names the trigger if it is known",
         "2 of 2 faults are at most two causes",
