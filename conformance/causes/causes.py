@@ -89,12 +89,14 @@ class Cause:
         return any(alike) and any(matches(self.rule, e) for e in bag.exchanges)
 
     def made(self, exchange: Exchange) -> dict[str, Value]:
-        """Return what the device makes of an exchange, by facet, where that is not what is due."""
-        if not matches(self.rule, exchange):
-            return {}
-        relations = [e.relation for e in self.effects if e.relation.facet != ANSWER]
-        shown = [one for one in relations if one.predict and one.differs(exchange)]
-        return {one.facet: one.predict(exchange) for one in shown if one.predict}
+        """Return what the device makes of an exchange, by facet, None where that is not known."""
+        made: dict[str, Value] = {}
+        if matches(self.rule, exchange):
+            for relation in (effect.relation for effect in self.effects):
+                value = relation.predict(exchange) if relation.predict else None
+                made[relation.facet] = value if made.get(relation.facet, value) == value else None
+        made.pop(ANSWER, None)
+        return made
 
     @property
     def takes_data(self) -> bool:
@@ -136,8 +138,9 @@ def fewest_causes(
     for cause in _certain(causes)[:_TAKEN]:
         misread = cause.misread(exchanges.all)
         known = again(cause.made, {exchange.step.frame[0] for exchange in misread})
-        others = found(known, (bag for bag in known.bags if not cause.explains(bag)))
-        left = {bag.exchanges[0].case for bag in known.bags}
+        others_bags = [bag for bag in known.bags if not cause.explains(bag)]
+        others = found(known, others_bags)
+        left = {bag.exchanges[0].case for bag in others_bags}
         within = {exchange.case for exchange in misread}
         solution = _with_consequences(cause, others, exchanges.bags, left, within)
         more = len(_cases(solution) & failed) - len(_cases(causes) & failed)

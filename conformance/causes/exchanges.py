@@ -86,7 +86,8 @@ class Exchange:
     many bytes were sent up to its last without waiting for an answer. `before` and `after` are the
     states of a conforming device, `accepted` its answers, `watched` how long (ns) it was then
     looked at. `unbroken` is how long (ns) the line was listened to from its first answer until the
-    next frame came, `looked` whether the device was looked at before that. `settled` are the facets
+    next frame came, `looked` whether the device was looked at before that. `assumed` are the facets
+    of `before` that frames had set which were not looked at. `settled` are the facets
     of the state that were right after it, `right` those that it has certainly made right,
     `deviations` those that were wrong. `as_frames` gives the answers due to bytes that a device
     takes for frames of their own.
@@ -111,6 +112,7 @@ class Exchange:
     unbroken: int = 0
     looked: bool = False
     codes: tuple[tuple[int, int], ...] = ()
+    assumed: frozenset[str] = frozenset()
     right: set[str] = field(default_factory=set)
     settled: set[str] = field(default_factory=set)
     deviations: dict[str, Deviation] = field(default_factory=dict)
@@ -225,6 +227,7 @@ class Exchanges:
         self._owed = 0
         self._lost = False
         self._unseen: dict[str, list[Exchange]] = {}
+        self._assumed: frozenset[str] = frozenset()
 
     def _take(self, event: Event) -> None:
         match event:
@@ -398,8 +401,9 @@ class Exchanges:
     def _made(self, known: Mapping[str, int | str | None]) -> ExpectedState:
         """The expected state with the values of facets that this device is known to make."""
         named = {self._car.by if facet == MOTION else facet: v for facet, v in known.items()}
-        state, unknown = self._expected.state.but(**named), self._expected.unknown - named.keys()
-        return replace(self._expected, state=state, unknown=unknown)
+        values = {name: value for name, value in named.items() if value is not None}
+        unknown = self._expected.unknown.union(named).difference(values)
+        return replace(self._expected, state=self._expected.state.but(**values), unknown=unknown)
 
     def _paired(
         self, burst: list[Exchange], answers: list[tuple[int, int]]
@@ -552,8 +556,7 @@ class Exchanges:
                     if facet == MOTION and self._wheels(exchange.after) == wheels:
                         exchange.right.add(WHEELS)
                 continue
-            while earlier and value_of(facet, candidates[0].before) == value:  # hides no other
-                candidates = (earlier.pop(), *candidates)
+            candidates = (*_hidden(facet, value, candidates[0]), *candidates)
             for exchange in candidates:
                 exchange.deviations[facet] = deviation
             self.bags.append(Bag(deviation, candidates))
@@ -596,14 +599,17 @@ class Exchanges:
         protocol, choices = self._model.protocol, self._model.choices
         effect = exchange.step.frame_effect.effect
         by_choice = {v for v, p in open_after(protocol, effect).items() if choices.differs(p.id)}
+        exchange.assumed = self._assumed
         for name in protocol.variables:
             facet = MOTION if name == self._car.by else name
             if name in by_choice or (effect or protocol.on_fault).sets(name):
                 self._unseen[facet] = []
+                self._assumed |= {facet}
             self._unseen.setdefault(facet, []).append(exchange)
 
     def _resynchronise(self, look: Look) -> None:
         """Go on from what was seen, so that a deviation is not counted again later."""
+        self._assumed = frozenset()
         state, car = self._expected.state, self._car
         values = {
             name: getattr(look, name)
@@ -619,6 +625,19 @@ class Exchanges:
         if values.get(car.speed) == pending:
             pending = None
         self._expected = ExpectedState(state.but(**values), unknown, pending)
+
+
+def _hidden(facet: str, value: int | str | None, exchange: Exchange) -> list[Exchange]:
+    """The frames before an exchange since the last look, as long as they left this value.
+
+    The exchange sets nothing new, so it hides none of them.
+    """
+    hidden: list[Exchange] = []
+    before = exchange.previous
+    while before and not before.looked and value_of(facet, exchange.before) == value:
+        hidden.insert(0, before)
+        exchange, before = before, before.previous
+    return hidden
 
 
 def repeats(exchange: Exchange) -> bool:

@@ -273,8 +273,10 @@ class Learner:
 
     def _some_rule(self, open_bags: Mask) -> list[int] | None:
         """The literals of a rule that takes in as many of these bags as it can."""
-        seeds = [int(i) for i in np.flatnonzero(open_bags)]
-        drawn = random.Random(len(seeds)).sample(seeds, min(_SEEDS, len(seeds)))
+        bags = [int(i) for i in np.flatnonzero(open_bags)]
+        draw = random.Random(len(bags))
+        chosen_bags = draw.sample(bags, min(_SEEDS, len(bags)))
+        drawn = [self._starts[bag] + draw.randrange(len(self.bags[bag])) for bag in chosen_bags]
         best: tuple[float, list[int]] | None = None
         for seed in drawn:
             chosen = self._grown(seed, open_bags)
@@ -287,10 +289,9 @@ class Learner:
         return best[1] if best else None
 
     def _grown(self, seed: int, open_bags: Mask) -> list[int] | None:
-        """A rule grown around one bag, literal by literal, by the gain in information."""
+        """A rule grown around one exchange, literal by literal, by the gain in information."""
         while True:
-            first = int(self._starts[seed])
-            usable = np.flatnonzero(self._held[:, first])
+            usable = np.flatnonzero(self._held[:, seed])
             pos = np.ones(self._count, bool)
             neg = np.ones(self._wrong.shape[1], bool)
             chosen: list[int] = []

@@ -33,7 +33,8 @@ class Relation:
     """What goes wrong in one facet, in words, and the value that it predicts for an exchange.
 
     `how` is that of the deviations. Where `predict` is None the value can be any. `seen` is the
-    value where it is always the same.
+    value where it is always the same. `of_before` is whether it is what was so before the frame:
+    a right frame says nothing about it where that was not seen.
     """
 
     facet: str
@@ -41,6 +42,7 @@ class Relation:
     words: str
     predict: Predict | None = None
     seen: Value = None
+    of_before: bool = False
 
     def explains(self, bag: Bag) -> bool:
         """Return whether a bag's deviation is of this kind."""
@@ -57,6 +59,8 @@ class Relation:
         """
         facet = WHEELS if self.seen == ASTRAY else self.facet
         if facet not in exchange.right or exchange.watched < watched:
+            return False
+        if self.of_before and facet in exchange.assumed:
             return False
         return self.differs(exchange)
 
@@ -205,7 +209,7 @@ def _of_values(facet: str, how: str, bags: Sequence[Bag]) -> list[Relation]:
     def before(exchange: Exchange) -> Value:
         return value_of(facet, exchange.before)
 
-    found = [Relation(facet, how, "stays as it was", before)]
+    found = [Relation(facet, how, "stays as it was", before, of_before=True)]
     seen = Counter(bag.deviation.seen for bag in bags).most_common(3)
     if facet == MOTION:
         found += [Relation(facet, how, f"is {v}", _moving_as(v), v) for v, _ in seen]
@@ -224,7 +228,7 @@ def resuming(facet: str, how: str) -> Relation:
             exchange = exchange.previous
         return value_of(facet, exchange.before)
 
-    return Relation(facet, how, RESUMES, earlier)
+    return Relation(facet, how, RESUMES, earlier, of_before=True)
 
 
 def _changed(facet: str, change: Callable[[int], int]) -> Predict:

@@ -22,7 +22,7 @@ from bilprov.analyzer.client.operations import (
 from bilprov.analyzer.client.rest import home_once
 from bilprov.captures.schemas import MS, look_class
 from bilprov.conformance.api import Options, conform
-from bilprov.conformance.causes.causes import Cause, find_causes
+from bilprov.conformance.causes.causes import TIERS, Cause, find_causes
 from bilprov.conformance.causes.exchanges import (
     ANSWER,
     ASTRAY,
@@ -36,6 +36,7 @@ from bilprov.conformance.causes.exchanges import (
     Timing,
 )
 from bilprov.conformance.causes.features import Literal, features, matches
+from bilprov.conformance.causes.learner import Learner, Table
 from bilprov.conformance.causes.relations import Relation, relations
 from bilprov.conformance.causes.reproduction import Finder, shown_by, shown_in
 from bilprov.conformance.causes.trace import Done, Mark, Trace
@@ -314,6 +315,36 @@ def test_a_frame_that_sets_nothing_new_hides_no_deviation_of_the_frame_before(
     assert [exchange.kind for exchange in bag.exchanges] == ["Stop", "Stop", "LED"]
 
 
+def test_nor_does_one_that_was_sent_later_if_nobody_looked(protocol: Protocol) -> None:
+    look = look_class(protocol.state_type)(60 * MS, moving=True)
+    events = [*sent(10, "11 ff"), *sent(20, "70"), *sent(30, "00"), *sent(40, "00")]
+    found = exchanges_of(protocol, [*events, Done(None, Observation(60 * MS, 60 * MS, look))])
+    [bag] = found.bags
+    assert [exchange.kind for exchange in bag.exchanges] == ["Stop", "Stop"]
+
+
+def test_a_right_frame_says_what_a_device_keeps_only_where_that_was_seen(
+    protocol: Protocol,
+) -> None:
+    look = look_class(protocol.state_type)
+    first = [*sent(10, "81 03"), Done(None, Observation(20 * MS, 20 * MS, look(20 * MS, led=3)))]
+    events = [*first, *sent(30, "81 04"), *sent(40, "81 05")]
+    events.append(Done(None, Observation(60 * MS, 60 * MS, look(60 * MS, led=5))))
+    assert [one.assumed for one in exchanges_of(protocol, events).all] == [set(), set(), {"led"}]
+
+
+def test_a_rule_is_found_where_the_frame_that_it_is_about_came_behind_others(
+    protocol: Protocol,
+) -> None:
+    alone = [sent(100 * n, frame) for n, frame in enumerate(["20", "30", "60", "70", "81 03"], 1)]
+    right = exchanges_of(protocol, [event for one in alone for event in one]).all
+    bursts = [seen_after(protocol, f"{frame} 81 03").all for frame in ("20", "30", "60", "70")]
+    groups = [*bursts, exchanges_of(protocol, sent(10, "00")).all]
+    table = Table(features(protocol), [*right, *(e for group in groups for e in group)])
+    rules = Learner(table, TIERS[-2], groups, right).rules(2)
+    assert all(any(matches(rule, e) for rule in rules for e in group) for group in groups)
+
+
 @pytest.mark.parametrize(("pause", "certain"), [(30, True), (49, False)])
 def test_a_frame_that_may_have_been_cut_is_no_evidence(
     protocol: Protocol, pause: int, *, certain: bool
@@ -443,8 +474,12 @@ def test_what_a_device_is_known_to_make_of_a_frame_holds_for_the_next(protocol: 
     def ignored(exchange: Exchange) -> dict[str, int | str | None]:
         return {MOTION: "backward"} if exchange.kind == "Forward" else {}
 
-    motions = [e.all[-1].before.state.motion for e in (rebuilt(), rebuilt(ignored))]
-    assert motions == ["forward", "backward"]
+    def unknown(exchange: Exchange) -> dict[str, int | str | None]:
+        return {MOTION: None} if exchange.kind == "Forward" else {}
+
+    before = [e.all[-1].before for e in (rebuilt(), rebuilt(ignored), rebuilt(unknown))]
+    assert [one.state.motion for one in before[:2]] == ["forward", "backward"]
+    assert ["motion" in one.unknown for one in before] == [False, False, True]
 
 
 def test_that_it_answers_no_more_is_a_cause_beside_others(protocol: Protocol) -> None:
