@@ -232,7 +232,13 @@ class _Replay:
         pause = decoding.capture_timeout(self.capture, protocol, self.timeout)
         pause = scaled_timeout(pause, options.rate)
         opened = open_port(port, options.line.settings(protocol))
-        with Target(protocol, opened, pause, stopper, now.record, options.max_drive) as target:
+
+        def heard(record: Record) -> None:
+            now.record(record)
+            if now.floods(recorded):
+                stopper.stop()
+
+        with Target(protocol, opened, pause, stopper, heard, options.max_drive) as target:
             self.send(target, pipeline, recorded)
             if target.driven_out:
                 words = target.driven_out_words
@@ -277,6 +283,12 @@ class _Replay:
         from bilprov.analyzer.replay.comparison import differences
 
         sent = recorded.instructions()
+        if now.floods(recorded):
+            shared.note(
+                "the device floods the line, which it did not in the recording: it was stopped, "
+                "and nothing was compared"
+            )
+            return 1
         if stopper.stopped:
             shared.note_suspension(stopper)
             count = quantity(len(now.instructions()), "instruction")

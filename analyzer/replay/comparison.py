@@ -29,6 +29,7 @@ DAMAGED = -2
 """Stands for the code of an answer that is damaged."""
 
 _MOST_UNASKED = 1 << 16  # bytes kept behind one frame: a flood must not fill the memory
+_SURPLUS = 1 << 12  # bytes that a device may be ahead of its recording with
 
 
 @dataclass(slots=True, eq=False)
@@ -69,11 +70,13 @@ class Exchange:
 class Exchanges:
     """Puts the records of a run together; `rest` are the exchanges that are not handed out.
 
-    Without `paired` only one side was heard, and no answers are waited for.
+    Without `paired` only one side was heard, and no answers are waited for. `surplus` counts the
+    device bytes that answer no instruction.
     """
 
     def __init__(self, *, paired: bool = True) -> None:
         self.rest: deque[Exchange] = deque([Exchange(None)])
+        self.surplus = 0
         self._paired = paired
         self._waiting: dict[int, Exchange] = {}
 
@@ -89,6 +92,7 @@ class Exchanges:
         elif isinstance(record, DeviceRecord):
             number = record.instruction
             if number is None:
+                self.surplus += len(record.data)
                 unasked = self.rest[-1].unasked
                 unasked += record.data[: _MOST_UNASKED - len(unasked)]
         elif isinstance(record, FaultRecord):
@@ -118,6 +122,10 @@ class Exchanges:
         return {
             frame.sequence: one for frame, one in frames if frame and frame.sequence is not None
         }
+
+    def floods(self, recorded: Exchanges) -> bool:
+        """Whether far more bytes answer no instruction than in the recording so far."""
+        return self.surplus - recorded.surplus > _SURPLUS
 
     @property
     def unasked(self) -> bytes:

@@ -158,6 +158,33 @@ def test_ctrl_c_ends_what_is_sent_as_fast_as_it_is_answered(
     assert 2 <= robot.heard.count(b"\x20") < 100
 
 
+class Flooding(RecordingRobot):
+    """A device that sends without end."""
+
+    def advance(self, now: int) -> bytes:
+        return super().advance(now) + bytes(100)
+
+    def deadline(self) -> int:
+        return 0
+
+
+def test_a_device_that_floods_the_line_is_stopped_at_once(
+    capture: Write, protocol: Protocol
+) -> None:
+    robot = Flooding(protocol)
+    path = capture([Chunk(0, "host", b"\x20"), Chunk(3600_000 * MS, "host", b"\x00")])
+
+    with (
+        served_here(robot, pty=True) as (port, _),
+        running("replay", str(path), "--to", port, "--yes") as command,
+    ):
+        code, _, err = command.result()
+
+    assert code == 1
+    assert err.startswith(b"the device floods the line, which it did not in the recording")
+    assert robot.heard[-16:] == [bytes([protocol.pad_byte])] * 16
+
+
 def test_without_a_terminal_a_device_moves_only_with_yes(
     capture: Write, protocol: Protocol
 ) -> None:
@@ -201,3 +228,5 @@ def test_bytes_that_answer_nothing_are_all_counted_and_a_few_are_listed(protocol
     (difference,) = differences(protocol, recorded, now)
     assert difference.reason.startswith("bytes that answer no instruction: recorded 0, now 4999 (")
     assert len(difference.reason) < 200
+    assert now.floods(recorded)
+    assert not now.floods(now)  # a device that was as talkative when it was recorded
