@@ -5,36 +5,21 @@ from __future__ import annotations
 import fcntl
 import json
 import os
-import select
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 PATIENCE = 60.0  # s; a test that waits longer hangs
 INSTALL = "no Chromium: apt-get install chromium"
 _FLAGS = (
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--disable-dev-shm-usage",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--hide-scrollbars",
-    "--remote-debugging-pipe",
-)
-# Chromium reads from descriptor 3 and writes to 4.
-_ONTO_3_AND_4 = (
-    "import os, sys; os.dup2(int(sys.argv[1]), 3); os.dup2(int(sys.argv[2]), 4); "
-    "os.execv(sys.argv[3], sys.argv[3:])"
+    *("--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"),
+    *("--hide-scrollbars", "--disable-background-networking", "--remote-debugging-pipe"),
 )
 
 
@@ -59,14 +44,11 @@ class Page:
 
     def heard(self, event: dict[str, Any]) -> None:
         told = event.get("params", {})
-        if event["method"] == "Network.requestWillBeSent":
-            self.requests.append(told["request"]["url"])
-        elif event["method"] == "Runtime.exceptionThrown":
-            self.complaints.append(str(told["exceptionDetails"]))
-        elif event["method"] == "Log.entryAdded":
-            self.complaints.append(told["entry"]["text"])
-        elif event["method"] == "Page.javascriptDialogOpening":
-            self.complaints.append(f"a dialog opened: {told['message']}")
+        match event["method"]:
+            case "Network.requestWillBeSent":
+                self.requests.append(told["request"]["url"])
+            case "Runtime.exceptionThrown" | "Log.entryAdded" | "Page.javascriptDialogOpening":
+                self.complaints.append(str(told))
 
     def size(self, width: int, height: int = 900) -> None:
         self.call(
@@ -133,10 +115,9 @@ class Page:
 class Browser:
     """A Chromium that runs."""
 
-    def __init__(self, to_browser: int, from_browser: int) -> None:
+    def __init__(self, to_browser: IO[bytes], from_browser: IO[bytes]) -> None:
         self._to = to_browser
         self._from = from_browser
-        self._held = b""
         self._count = 0
         self._pages: dict[str, Page] = {}
 
@@ -147,31 +128,16 @@ class Browser:
         message = {"id": self._count, "method": method, "params": parameters}
         if session:
             message["sessionId"] = session
-        data = json.dumps(message).encode() + b"\0"
-        while data:
-            data = data[os.write(self._to, data) :]
+        self._to.write(json.dumps(message).encode() + b"\0")
         while True:
-            answer = self._next()
+            answer = json.loads(b"".join(iter(partial(self._from.read, 1), b"\0")))
             if answer.get("id") == message["id"]:
                 assert "error" not in answer, (method, answer["error"])
-                result = answer["result"]
-                assert isinstance(result, dict)
+                result: dict[str, Any] = answer["result"]
                 return result
             page = self._pages.get(answer.get("sessionId", ""))
             if page and "method" in answer:
                 page.heard(answer)
-
-    def _next(self) -> dict[str, Any]:
-        while b"\0" not in self._held:
-            ready, _, _ = select.select([self._from], [], [], PATIENCE)
-            assert ready, "Chromium does not answer"
-            data = os.read(self._from, 1 << 16)
-            assert data, "Chromium has ended"
-            self._held += data
-        message, _, self._held = self._held.partition(b"\0")
-        answer = json.loads(message)
-        assert isinstance(answer, dict)
-        return answer
 
     @contextmanager
     def page(self) -> Iterator[Page]:
@@ -191,27 +157,28 @@ def running(folder: Path) -> Iterator[Browser]:
     assert program is not None
     commands, write = os.pipe()
     read, events = os.pipe()
+    # Chromium reads from descriptor 3 and writes to 4.
     inside = [fcntl.fcntl(fd, fcntl.F_DUPFD, 10) for fd in (commands, events)]
-    with subprocess.Popen(
-        [
-            *(sys.executable, "-c", _ONTO_3_AND_4, *map(str, inside)),
-            *(program, *_FLAGS, f"--user-data-dir={folder}"),
-        ],
-        pass_fds=inside,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    ) as process:
+    onto = 'exec "$@" 3<&{} 4>&{}'.format(*inside)
+    with (
+        os.fdopen(write, "wb", 0) as to_browser,
+        os.fdopen(read, "rb") as from_browser,
+        subprocess.Popen(
+            ["bash", "-c", onto, "bash", program, *_FLAGS, f"--user-data-dir={folder}"],
+            pass_fds=inside,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        ) as process,
+    ):
         for fd in (commands, events, *inside):
             os.close(fd)
         try:
-            browser = Browser(write, read)
+            browser = Browser(to_browser, from_browser)
             yield browser
             browser.call("Browser.close", {})
             process.wait(PATIENCE)
         finally:
             with suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
-            os.close(write)
-            os.close(read)
