@@ -13,7 +13,7 @@ import shutil
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator
 from itertools import islice
 from random import Random
 
@@ -26,14 +26,10 @@ import docs
 import examples
 from benchmarks.dispositions import usual_for_children
 from bilprov.analyzer.decode import stream
-from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol, load
 from tests.support import ROOT
 from tests.support.chromium import Browser, Page, running
 from tests.support.grammars import wide_grammar
-from tests.vectors import RobotState
-
-Drive = Callable[[Protocol, Iterable[bytes]], list[tuple[int, RobotState]]]
 
 # No test asserts a wall-clock time. What Hypothesis draws is the same in every run, so that a run
 # fails for what was changed; with --whole it is another each time.
@@ -68,19 +64,6 @@ def pytest_configure(config: pytest.Config) -> None:
     if not hasattr(config, "workerinput"):  # once, and not in each process of a run
         for room in ("src", "spec", "captures", "analyzer", "conformance"):
             compileall.compile_dir(ROOT / room, quiet=2)
-
-
-def pytest_sessionstart(session: pytest.Session) -> None:
-    """Each worker first imports a share of the tests of its own.
-
-    What pytest compiles takes longer than all other collecting. Of the other shares it then finds
-    the compiled files that the other workers have left.
-    """
-    worker = getattr(session.config, "workerinput", None)
-    if worker and session.config.args == ["tests"]:  # all of them are asked for
-        number, workers = int(worker["workerid"][2:]), worker["workercount"]
-        for file in sorted((ROOT / "tests").rglob("test_*.py"))[number::workers]:
-            importlib.import_module(".".join(file.relative_to(ROOT).with_suffix("").parts))
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -262,30 +245,6 @@ def each_protocol(request: pytest.FixtureRequest) -> Protocol:
     """The kit's own grammar, the one with a Horn, and the wide one, in turn."""
     found: Protocol = request.getfixturevalue(request.param)
     return found
-
-
-@pytest.fixture(scope="session")
-def drive() -> Drive:
-    """A robot of two rules: a valid frame does its effect, any other what a fault does.
-
-    Gives the response code and the state after each frame, from power-on.
-    """
-
-    def driven(protocol: Protocol, frames: Iterable[bytes]) -> list[tuple[int, RobotState]]:
-        state, seen = protocol.power_on, []
-        for frame in frames:
-            judgement = judge(protocol, frame)
-            if judgement.valid and judgement.instruction:
-                state = judgement.instruction.effect.apply(state, dict(judgement.fields))
-            else:
-                state = protocol.on_fault.apply(state)
-            shown = RobotState(
-                str(state.motion), state.speed, state.steering, state.led, state.moving
-            )
-            seen.append((judgement.response.code, shown))
-        return seen
-
-    return driven
 
 
 @pytest.fixture(scope="module")

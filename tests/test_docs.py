@@ -21,13 +21,13 @@ from pathlib import Path
 import pytest
 from markdown_it import MarkdownIt
 
-from bilprov.captures.schemas import MS, Chunk
-from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.protocol import InstructionSpec, Protocol
 from bilprov.spec.safe_grammar import WORDS
 from examples.demo import FILES
 from tests.support import ROOT
+from tests.support.captures import write_capture
 from tests.support.commands import command, parsed, process
+from tests.support.decoding import conversation
 from tests.support.robots import simulate
 
 PATIENCE = 60.0  # s; a command that takes longer hangs
@@ -68,11 +68,6 @@ class Step:
         named = re.search(r"# .*exit status (\d)(?: or (\d))?", self.line)
         found = {1, 3} if _IN_REAL_TIME.match(self.line) else set()
         return {0} | found | {int(status) for status in (named.groups("0") if named else ())}
-
-
-def pages() -> list[Path]:
-    """Every page that people read."""
-    return sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *ROOT.glob("docs/*.md")])
 
 
 def blocks(text: str) -> list[tuple[str, str]]:
@@ -244,7 +239,8 @@ def _wait_for_output(process: subprocess.Popen[str], output: int) -> None:
     time.sleep(0.3)
 
 
-PAGES = pages()
+# Every page that people read.
+PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *ROOT.glob("docs/*.md")])
 TEXTS = {page.relative_to(ROOT).as_posix(): page.read_text(encoding="utf-8") for page in PAGES}
 
 # What a page shows and no test runs, and why. The first words of a command, as a pattern.
@@ -265,26 +261,17 @@ NEEDS = ("tshark", "jq")
 SIDES = ("host", "device")
 
 
-def runs() -> dict[str, list[Step]]:
-    """The steps of each page that a test runs."""
-    found = {}
-    for name, text in TEXTS.items():
-        kept = [s for s in steps(text) if not any(re.match(p, s.line) for p in NOT_RUN)]
-        if kept:
-            found[name] = kept
-    return found
+def is_run(step: Step) -> bool:
+    return not any(re.match(pattern, step.line) for pattern in NOT_RUN)
 
 
-RUNS = runs()
-
-
-def named_snippets() -> dict[str, tuple[str, str | None]]:
-    """Each Python snippet with its output, named by page and number."""
-    return {
-        f"{Path(name).name}-{number}": snippet
-        for name, text in TEXTS.items()
-        for number, snippet in enumerate(snippets(text), 1)
-    }
+# The steps of each page that a test runs.
+RUNS = {name: list(filter(is_run, steps(text))) for name, text in TEXTS.items()}
+SNIPPETS = [
+    pytest.param(*snippet, id=f"{Path(name).name}-{number}")
+    for name, text in TEXTS.items()
+    for number, snippet in enumerate(snippets(text), 1)
+]
 
 
 def command_lines() -> list[tuple[str, str]]:
@@ -301,13 +288,8 @@ def command_lines() -> list[tuple[str, str]]:
 
 def record(path: Path, *sides: str) -> None:
     """Write a capture of a short drive, or of one side of it."""
-    with CaptureWriter(path, start_wall=10**18, metadata={}, version="0") as capture:
-        for number, frame in enumerate(("1150", "20", "8109", "00")):
-            answer = b"\x02" if frame == "8109" else b"\x00"
-            if "host" in sides:
-                capture.chunk(Chunk(number * 20 * MS, "host", bytes.fromhex(frame)))
-            if "device" in sides:
-                capture.chunk(Chunk(number * 20 * MS + MS, "device", answer))
+    drive = (b"\x11\x50", b"\0"), (b"\x20", b"\0"), (b"\x81\x09", b"\2"), (b"\0", b"\0")
+    write_capture(path, [chunk for chunk in conversation(drive) if chunk.direction in sides])
 
 
 @pytest.fixture
@@ -319,7 +301,7 @@ def folder(tmp_path: Path) -> Path:
 
 @pytest.mark.sample(4)
 @pytest.mark.waits
-@pytest.mark.parametrize(("text", "output"), named_snippets().values(), ids=named_snippets().keys())
+@pytest.mark.parametrize(("text", "output"), SNIPPETS)
 def test_a_python_snippet_runs_as_it_stands(text: str, output: str | None, folder: Path) -> None:
     path = f"{PROGRAMS}{os.pathsep}{os.environ['PATH']}"
     result = subprocess.run(
@@ -377,7 +359,7 @@ def test_the_readme_shows_what_happens(folder: Path) -> None:
 @pytest.mark.sample(1)
 @pytest.mark.waits
 @pytest.mark.timeout(400)
-@pytest.mark.parametrize("page", [page for page in RUNS if page != "README.md"])
+@pytest.mark.parametrize("page", [page for page in RUNS if RUNS[page] and page != "README.md"])
 def test_a_page_shows_what_happens(page: str, folder: Path) -> None:
     typed(page, folder)
 

@@ -21,8 +21,8 @@ from bilprov import decode, encode, explain, judge, read_capture
 from bilprov.analyzer.grammar_file import SHIPPED
 from bilprov.analyzer.output.help import examples_in
 from bilprov.captures.schemas import Chunk
-from bilprov.captures.writer import CaptureWriter
 from tests.support import ROOT
+from tests.support.captures import write_capture
 from tests.support.commands import Done, command, command_named, parsed, process
 
 HEAVY = {
@@ -252,7 +252,5 @@ def test_a_grammar_is_given_by_name_and_by_file(tmp_path: Path) -> None:
     assert explain(ON, protocol=RELAY).frames[0].judgement.valid
     assert [one.words for one in decode(ON, protocol=RELAY)] == ["@2 On"]
 
-    file = tmp_path / "line.mcap"
-    with CaptureWriter(file, start_wall=0, metadata={}, version="1") as writer:
-        writer.chunk(Chunk(0, "host", ON))
+    file = write_capture(tmp_path / "line.mcap", [Chunk(0, "host", ON)])
     assert next(iter(read_capture(file, RELAY))).words == "@2 On"  # type: ignore[union-attr]

@@ -41,12 +41,13 @@ from mcap.reader import make_reader
 
 from bilprov.analyzer.version import kit_version
 from bilprov.captures.schemas import Chunk, Line
-from bilprov.captures.writer import CaptureWriter
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.catalogue import find_fault
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
+from tests.support.captures import write_capture
 from tests.support.commands import command
+from tests.support.decoding import Event
 from tests.support.drawn_grammars import drawn
 from tests.support.grammars import wide_grammar
 from tests.support.robots import served_here
@@ -190,15 +191,14 @@ def write(path: Path, lines: list[str]) -> None:
         path.write_bytes("".join(f"{line}\n" for line in lines).encode())
         return
     metadata = dict(line.split(" = ", 1) for line in lines if " = " in line)
-    with CaptureWriter(path, start_wall=START, metadata=metadata, version="1") as writer:
-        for seconds, side, rest in (
-            f"{line}  ".split(" ", 2) for line in lines if " = " not in line
-        ):
-            t = round(float(seconds) * 1e9)
-            if side in ("host", "device"):
-                writer.chunk(Chunk(t, side, bytes.fromhex(rest)))  # type: ignore[arg-type]
-            else:
-                writer.write(Line(t, side, "", rest.strip()), t)  # type: ignore[arg-type]
+    events: list[Event] = []
+    for seconds, side, rest in (f"{line}  ".split(" ", 2) for line in lines if " = " not in line):
+        t = round(float(seconds) * 1e9)
+        if side in ("host", "device"):
+            events.append(Chunk(t, side, bytes.fromhex(rest)))  # type: ignore[arg-type]
+        else:
+            events.append(Line(t, side, "", rest.strip()))  # type: ignore[arg-type]
+    write_capture(path, events, metadata, START)
 
 
 def steady(text: str, folder: Path, changing: list[tuple[str, str]] = CHANGING) -> str:

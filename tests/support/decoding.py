@@ -18,9 +18,9 @@ Event = Chunk | Line
 
 def conversation(
     exchanges: Sequence[tuple[bytes, bytes]], period: int = 20 * MS, latency: int = MS
-) -> list[Chunk | Line]:
+) -> list[Chunk]:
     """Events of a host that waits for each answer; times in ns."""
-    events: list[Chunk | Line] = []
+    events: list[Chunk] = []
     for at, (said, answered) in enumerate(exchanges, 1):
         events.append(Chunk(at * period, "host", said))
         if answered:
