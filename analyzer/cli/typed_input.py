@@ -226,6 +226,7 @@ def bytes_from_hex(text: str) -> bytes:
 
 _MOST = 1 << 26  # bytes of a file
 _BEGINNING = 64  # bytes of it that are looked at
+_OBJECT = re.compile(rb'\s*\{\s*["}][^\x00-\x08\x0e-\x1f\x7f]*')
 _LATEST = 4e9  # s before and after 0: the ns between any two times then fit into 64 bits
 
 
@@ -242,9 +243,9 @@ class RecordedBytes(msgspec.Struct):
 
 
 def are_json_lines(path: Path) -> bool:
-    """Whether a file begins as a JSON object does, which may be damaged."""
+    """Whether a file begins as a JSON object does, without control characters, also damaged."""
     with path.open("rb") as file:
-        return re.match(rb'\s*\{\s*["}]', file.read(_BEGINNING)) is not None
+        return _OBJECT.fullmatch(file.read(_BEGINNING)) is not None
 
 
 def recorded_chunks(path: Path, sender: Direction) -> list[Chunk]:

@@ -86,6 +86,13 @@ def test_every_frame_of_the_document_is_decoded_as_typed_by_hand() -> None:
     ]
 
 
+def test_raw_bytes_may_begin_as_json_does(tmp_path: Path) -> None:
+    file = tmp_path / "raw.bin"
+    file.write_bytes(b'{"\x01')
+    (line,) = json_lines(command("decode", str(file), "--format", "jsonl").stdout)
+    assert line["hex"] == "7b 22 01"
+
+
 @pytest.mark.waits
 def test_a_pipe_with_a_name_is_read_from_its_first_byte() -> None:
     ours, theirs = os.pipe()
