@@ -9,19 +9,13 @@ import msgspec
 from click.shell_completion import get_completion_class, shell_complete
 
 from bilprov.analyzer.cli.command import argument, command, protocol_in_use
-from bilprov.analyzer.cli.options import text_format_option
+from bilprov.analyzer.cli.options import FormatOption
 from bilprov.analyzer.cli.settings import DEVICE, META, Tables, defaults_of
 from bilprov.spec.errors import UserError
 
 
-class ConfigOptions(msgspec.Struct, frozen=True):
-    """The options of `config`."""
-
-    style: str = text_format_option()
-
-
-@command(ConfigOptions)
-def config(options: ConfigOptions) -> None:
+@command(FormatOption)
+def config(options: FormatOption) -> None:
     """Examples:
       bilprov config
       bilprov config --format json

@@ -107,6 +107,12 @@ SENDING_LINE = (*LINE, "echo")
 """The names of `SendingLineOptions`."""
 
 
+class FormatOption(msgspec.Struct, frozen=True):
+    """The format in which something is shown."""
+
+    style: str = text_format_option()
+
+
 class LineOptions(msgspec.Struct, frozen=True):
     """The settings of a serial line; None stands for the grammar's value."""
 

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 import msgspec
@@ -125,7 +125,7 @@ class Findings:
 
         self.found: list[Finding] = []
         self._doctor = finding
-        self._sections: list[str] = []  # of each of those found
+        self._told: list[dict[str, Any]] = []  # each of those found, with its section
         self._as_json = as_json
         self._section = ""
 
@@ -136,7 +136,7 @@ class Findings:
             show(heading(self._doctor.title(section)))
         for finding in findings:
             self.found.append(finding)
-            self._sections.append(section)
+            self._told.append({"about": section} | asdict(finding))
             if not self._as_json:
                 show(self._doctor.drawn(finding))
                 if finding.command:  # by itself: it must stay on one line to be copied
@@ -148,11 +148,8 @@ class Findings:
         """Show whether the ports, or the files, can be used, and return the exit code."""
         code = 0 if self._doctor.usable(self.found) else 2
         if self._as_json:
-            found = [
-                {"about": section} | asdict(finding)
-                for section, finding in zip(self._sections, self.found, strict=True)
-            ]
-            show_json({"ports": list(names), "usable": not code, "exit": code, "findings": found})
+            about = {"ports": list(names), "usable": not code, "exit": code}
+            show_json(about | {"findings": self._told})
         else:
             show(self._doctor.conclusion(names, self.found))
         return code

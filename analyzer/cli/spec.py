@@ -32,13 +32,7 @@ if TYPE_CHECKING:
     from bilprov.spec.protocol import Protocol
 
 
-class FormatOption(msgspec.Struct, frozen=True):
-    """The format in which the grammar is shown."""
-
-    style: str = shared.text_format_option()
-
-
-class ReadingsOptions(FormatOption, frozen=True):
+class ReadingsOptions(shared.FormatOption, frozen=True):
     """The options of `spec readings`."""
 
     ids: tuple[str, ...] = argument(metavar="[ID]...", nargs=-1)
@@ -67,8 +61,8 @@ class GrammarOptions(EmitOption, frozen=True):
     name: str | None = argument(metavar="[NAME]", required=False, type=click.Choice(list(SHIPPED)))
 
 
-@command(FormatOption)
-def show(options: FormatOption) -> None:
+@command(shared.FormatOption)
+def show(options: shared.FormatOption) -> None:
     """Examples:
       bilprov spec show
       bilprov spec show --format json
@@ -81,8 +75,8 @@ def show(options: FormatOption) -> None:
     show_as(options.style, lambda: protocol_json(protocol), lambda: drawn_protocol(protocol))
 
 
-@command(FormatOption)
-def grammars(options: FormatOption) -> None:
+@command(shared.FormatOption)
+def grammars(options: shared.FormatOption) -> None:
     """Examples:
       bilprov spec grammars
       bilprov spec show --grammar modbus-rtu
@@ -138,8 +132,8 @@ def readings(options: ReadingsOptions) -> None:
     )
 
 
-@command(FormatOption)
-def errata(options: FormatOption) -> None:
+@command(shared.FormatOption)
+def errata(options: shared.FormatOption) -> None:
     """Examples:
       bilprov spec errata
 
