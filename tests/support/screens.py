@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import asyncio
 import os
 import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Awaitable, Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,6 @@ from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 
-Steps = Callable[[Browser, Pilot[Any]], Awaitable[None]]
 PATIENCE = 60.0  # s; a test that waits longer hangs
 NO_TMUX = "apt-get install tmux"
 
@@ -42,18 +40,14 @@ def browser(
     return Browser(feed, Told("a test", 0, line_settings(protocol), **told))
 
 
-def operated(screen: Browser, steps: Steps, size: tuple[int, int] = (120, 40)) -> str | None:
-    """Take some steps on a screen that shows all rows; returns what the screen returns, if left."""
-
-    async def run() -> None:
-        async with screen.run_test(size=size) as pilot:
-            screen.feed.join()
-            screen.show_rows()
-            await pilot.pause()
-            await steps(screen, pilot)
-
-    asyncio.run(run())
-    return screen.return_value
+@asynccontextmanager
+async def operated(screen: Browser, size: tuple[int, int] = (120, 40)) -> AsyncIterator[Pilot[Any]]:
+    """Show a screen with all its rows; gives what presses its keys."""
+    async with screen.run_test(size=size) as pilot:
+        screen.feed.join()
+        screen.show_rows()
+        await pilot.pause()
+        yield pilot
 
 
 def text_of(screen: Browser) -> list[str]:

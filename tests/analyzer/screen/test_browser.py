@@ -73,28 +73,24 @@ async def typed(screen: Browser, pilot: Pilot[Any], text: str) -> None:
     await pilot.pause()
 
 
-def test_another_row_is_drawn_in_the_layout_that_is_there(screen: Browser) -> None:
+async def test_another_row_is_drawn_in_the_layout_that_is_there(screen: Browser) -> None:
     layouts: list[object] = []
 
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+    async with operated(screen) as pilot:
         for key in ("end", "end", "home", "down", "pagedown", "t"):
             await pilot.press(key)
             await pilot.pause()
             screen.screen.screen_layout_refresh_signal.subscribe(screen, layouts.append)
 
-    operated(screen, steps)
-
     assert not layouts
 
 
-def test_the_details_have_a_scroll_bar_where_they_need_it(screen: Browser) -> None:
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+async def test_the_details_have_a_scroll_bar_where_they_need_it(screen: Browser) -> None:
+    async with operated(screen, (80, 24)) as pilot:
         for key, needed in (("down", True), ("up", False)):
             await pilot.press(key)
             await pilot.pause()
             assert screen.fields.show_vertical_scrollbar == needed
-
-    operated(screen, steps, (80, 24))
 
 
 MOVES_TO = {
@@ -115,8 +111,8 @@ MOVES_TO = {
 }
 
 
-def test_keys_move_through_the_rows(screen: Browser) -> None:
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+async def test_keys_move_through_the_rows(screen: Browser) -> None:
+    async with operated(screen) as pilot:
         assert screen.frames.room == 24
         for keys, row in MOVES_TO.items():
             await pilot.press("home", *keys_of(keys))
@@ -125,19 +121,17 @@ def test_keys_move_through_the_rows(screen: Browser) -> None:
             assert top <= screen.frames.cursor < top + screen.frames.room
             await pilot.press("j")
 
-    operated(screen, steps)
-
 
 @pytest.mark.parametrize(
     ("keys", "row"), [("G", 240), ("200G", 199), (": 0.7s enter", 141), ("G k", 119)]
 )
-def test_a_place_that_is_not_read_yet_is_gone_to_once_it_is(
+async def test_a_place_that_is_not_read_yet_is_gone_to_once_it_is(
     protocol: Protocol, keys: str, row: int
 ) -> None:
     first, later = decoded(protocol, drive()), decoded(protocol, drive(120)[121:])
     screen = browser(protocol, first)
 
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+    async with operated(screen) as pilot:
         reading: Future[object] = Future()
         screen.feed._working = reading
         await pilot.press(*keys_of(keys))
@@ -152,8 +146,6 @@ def test_a_place_that_is_not_read_yet_is_gone_to_once_it_is(
         await pilot.press("g")
         screen.tick()
         assert screen.frames.row == 0
-
-    operated(screen, steps)
 
 
 @pytest.mark.sample(4)
@@ -203,17 +195,15 @@ ANSWERED = {
 }
 
 
-def test_the_last_line_answers(screen: Browser) -> None:
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+async def test_the_last_line_answers(screen: Browser) -> None:
+    async with operated(screen) as pilot:
         for keys, words in ANSWERED.items():
             await pilot.press("escape", "home", *keys_of(keys))
             await pilot.pause()
             assert words in text_of(screen)[-1], keys
 
-    operated(screen, steps)
 
-
-def test_each_row_has_the_sign_and_the_colour_of_whose_fault_it_is(protocol: Protocol) -> None:
+async def test_each_row_has_the_sign_and_colour_of_whose_fault_it_is(protocol: Protocol) -> None:
     frames = [
         *((b"\x20", b"\0"), (b"\x81\x09", b"\x02"), (b"\x81\x09", b"\0")),
         *((b"\x20", b"\x03"), (b"\x20", b"\x09")),
@@ -225,7 +215,7 @@ def test_each_row_has_the_sign_and_the_colour_of_whose_fault_it_is(protocol: Pro
     ]
     screen = browser(protocol, decoded(protocol, [*talk, Line(90 * MS, "overrun", "host")]))
 
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+    async with operated(screen) as pilot:
         _, *rows = screen.frames.lines(0, screen.frames.count, 90)
         assert "".join(row.plain[0] for row in rows) == "  !-!x x x~"
         styles = {look.sign: look.style for look in LOOKS}
@@ -236,22 +226,18 @@ def test_each_row_has_the_sign_and_the_colour_of_whose_fault_it_is(protocol: Pro
         grounds = [next(iter(screen.frames.render_line(y))).style for y in (1, 2, 3)]
         assert [bool(style and style.bgcolor) for style in grounds] == [False, True, False]
 
-    operated(screen, steps)
 
-
-def test_neither_high_row_numbers_nor_long_pauses_are_cut(screen: Browser) -> None:
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+async def test_neither_high_row_numbers_nor_long_pauses_are_cut(screen: Browser) -> None:
+    async with operated(screen):
         record = screen.frames.record
         assert record is not None
         screen.feed.recording.rows = 12_345_678
         line = screen.frames._line(12_345_677, record, record.t - 2_000_000 * MS, 80).plain
         assert line.split()[:3] == ["12345678", "0.0000", "2000000"]
 
-    operated(screen, steps)
 
-
-def test_the_head_has_the_grammar_and_the_line_and_the_heading_is_dim(screen: Browser) -> None:
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+async def test_the_head_has_grammar_and_line_and_the_heading_is_dim(screen: Browser) -> None:
+    async with operated(screen) as pilot:
         assert text_of(screen)[0].startswith("a test · robot-car 1.1 · 115200 8N1   ")
         styles = [segment.style for segment in screen.frames.render_line(0) if segment.text.strip()]
         assert all(style and style.dim for style in styles)
@@ -261,13 +247,11 @@ def test_the_head_has_the_grammar_and_the_line_and_the_heading_is_dim(screen: Br
         assert "…  121 rows" in text_of(screen)[0]
         assert text_of(screen)[-1].endswith("…")
 
-    operated(screen, steps)
 
-
-def test_bytes_are_as_wide_as_the_longest_row_and_how_short_a_frame_is_stands_once(
+async def test_bytes_are_as_wide_as_the_longest_row_and_how_short_a_frame_is_stands_once(
     screen: Browser,
 ) -> None:
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+    async with operated(screen, (200, 60)) as pilot:
         await pilot.press("n")
         await pilot.pause()
         heading, *_ = (line for line in text_of(screen) if "bytes" in line)
@@ -276,23 +260,19 @@ def test_bytes_are_as_wide_as_the_longest_row_and_how_short_a_frame_is_stands_on
         assert rows
         assert not any("announced" in row for row in rows)
 
-    operated(screen, steps, (200, 60))
 
-
-def test_the_first_row_of_a_quiet_line_is_drawn_when_it_comes(
+async def test_the_first_row_of_a_quiet_line_is_drawn_when_it_comes(
     protocol: Protocol, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("bilprov.analyzer.screen.browser._DRAWING_SHARE", 1e-9)
     screen = browser(protocol, [], live=True)
 
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+    async with operated(screen) as pilot:
         (batch,) = decoded(protocol, [Line(0, "open", "", "a port")])
         screen.feed.recording.add(batch)
         screen.tick()  # what the first layout took is no reason to wait
         await pilot.pause()
         assert any("time  0.000000000 s" in line for line in text_of(screen))
-
-    operated(screen, steps)
 
 
 async def written(pilot: Pilot[Any], screen: Browser, file: str) -> None:
@@ -304,13 +284,13 @@ async def written(pilot: Pilot[Any], screen: Browser, file: str) -> None:
     await pilot.pause()
 
 
-def test_a_filter_shows_how_many_rows_pass_and_export_writes_them(
+async def test_a_filter_shows_how_many_rows_pass_and_export_writes_them(
     screen: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "there.csv").write_text("precious")
 
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+    async with operated(screen) as pilot:
         await pilot.press(*"4j")
         await typed(screen, pilot, "speed < 9")
         assert (screen.frames.count, screen.frames.row) == (9, 5)
@@ -331,8 +311,6 @@ def test_a_filter_shows_how_many_rows_pass_and_export_writes_them(
         assert text_of(screen)[0].endswith(" 12 of 121")
         await pilot.press("e")
         assert screen.frames.count == 121
-
-    operated(screen, steps)
     assert (tmp_path / "there.csv").read_text() == "precious"
     lines = (tmp_path / "out.csv").read_text(encoding="utf-8").splitlines()
     assert len(lines) == 10
@@ -351,8 +329,8 @@ async def type_ahead(screen: Browser, pilot: Pilot[Any], *keys: str) -> None:
 
 @pytest.mark.sample(2)
 @pytest.mark.parametrize("text", ["sequence == 3", "faulty", "not quiet", "q"])
-def test_keys_typed_ahead_behind_the_slash_are_the_filter(screen: Browser, text: str) -> None:
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+async def test_keys_typed_ahead_behind_the_slash_are_the_filter(screen: Browser, text: str) -> None:
+    async with operated(screen) as pilot:
         follows, style = screen.follows, screen.frames.time_style
         await type_ahead(screen, pilot, "/", *text[:2])
         await type_ahead(screen, pilot, *text[2:])  # the focus has come by now
@@ -360,11 +338,9 @@ def test_keys_typed_ahead_behind_the_slash_are_the_filter(screen: Browser, text:
         assert screen.is_running
         assert (screen.follows, screen.frames.time_style) == (follows, style)
 
-    operated(screen, steps)
 
-
-def test_tab_and_enter_typed_ahead_come_behind_the_text_before_them(screen: Browser) -> None:
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+async def test_tab_and_enter_typed_ahead_come_behind_the_text_before_them(screen: Browser) -> None:
+    async with operated(screen) as pilot:
         await type_ahead(screen, pilot, "/", *"faulty and lat", "tab", *" > 1", "escape")
         assert screen.prompt.line.value == "faulty and latency > 1"
         await type_ahead(screen, pilot, "/", *"faulty", "enter", "n", "n")
@@ -372,21 +348,17 @@ def test_tab_and_enter_typed_ahead_come_behind_the_text_before_them(screen: Brow
         await type_ahead(screen, pilot, ":", *"20", "enter", "j")
         assert screen.frames.row == 20
 
-    operated(screen, steps)
 
-
-def test_a_paste_goes_into_the_line_that_is_typed_or_is_a_filter(screen: Browser) -> None:
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+async def test_a_paste_goes_into_the_line_that_is_typed_or_is_a_filter(screen: Browser) -> None:
+    async with operated(screen) as pilot:
         for text in ("/speed < 9", " and speed\n> 2"):
             screen.post_message(events.Paste(text))
         await type_ahead(screen, pilot, "enter")
         assert screen.filter_text == "speed < 9 and speed > 2"
 
-    operated(screen, steps)
 
-
-def test_tab_completes_names_and_values_in_the_middle_of_a_filter(screen: Browser) -> None:
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+async def test_tab_completes_names_and_values_in_the_middle_of_a_filter(screen: Browser) -> None:
+    async with operated(screen) as pilot:
         line = screen.prompt.line
         await pilot.press("slash", *"name == rotater", "tab")
         assert line.value == "name == RotateRight"
@@ -397,13 +369,11 @@ def test_tab_completes_names_and_values_in_the_middle_of_a_filter(screen: Browse
         await pilot.press("tab")
         assert line.value == "no ways to go on"
 
-    operated(screen, steps)
 
-
-def test_space_holds_the_view_still_while_rows_come(protocol: Protocol) -> None:
+async def test_space_holds_the_view_still_while_rows_come(protocol: Protocol) -> None:
     screen = browser(protocol, decoded(protocol, drive()), live=True)
 
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+    async with operated(screen) as pilot:
         assert screen.frames.row == 120  # a live view follows
         await pilot.press("space")
         for batch in decoded(protocol, drive(10)):
@@ -421,13 +391,11 @@ def test_space_holds_the_view_still_while_rows_come(protocol: Protocol) -> None:
         await pilot.press("space")
         assert (screen.frames.count, screen.frames.row) == (142, 141)
 
-    operated(screen, steps)
 
-
-def test_space_plays_a_capture_from_the_chosen_row_and_stops(protocol: Protocol) -> None:
+async def test_space_plays_a_capture_from_the_chosen_row_and_stops(protocol: Protocol) -> None:
     screen = browser(protocol, decoded(protocol, drive()), rate=1e-3)
 
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+    async with operated(screen) as pilot:
         await pilot.press("down", "down", "space")
         await pilot.pause()
         assert "playing" in text_of(screen)[0]
@@ -442,27 +410,23 @@ def test_space_plays_a_capture_from_the_chosen_row_and_stops(protocol: Protocol)
         await pilot.pause()
         assert "playing" not in text_of(screen)[0]
 
-    operated(screen, steps)
 
-
-def test_a_capture_that_is_played_without_pauses_is_at_its_end_at_once(protocol: Protocol) -> None:
+async def test_a_capture_played_without_pauses_is_at_its_end_at_once(protocol: Protocol) -> None:
     screen = browser(protocol, decoded(protocol, drive()), rate=0)
 
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+    async with operated(screen) as pilot:
         await pilot.press("space")
         screen.tick()
         await pilot.pause()
         assert screen.frames.row == 120
         assert "playing" not in text_of(screen)[0]
 
-    operated(screen, steps)
 
-
-def test_f_follows_what_comes_until_the_choice_is_moved(protocol: Protocol) -> None:
+async def test_f_follows_what_comes_until_the_choice_is_moved(protocol: Protocol) -> None:
     screen = browser(protocol, decoded(protocol, drive()), live=True)
     rows = []
 
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+    async with operated(screen) as pilot:
         # Moved by hand; out of a pause; no more; and out of a pause again.
         for keys in ("up", "space f", "f", "f space f"):
             await pilot.press(*keys_of(keys))
@@ -470,28 +434,24 @@ def test_f_follows_what_comes_until_the_choice_is_moved(protocol: Protocol) -> N
                 screen.feed.recording.add(batch)
             screen.show_rows()
             rows.append(screen.frames.row)
-
-    operated(screen, steps)
     assert rows == [119, 126, 126, 132]
 
 
-def test_a_followed_file_that_does_not_grow_any_more_is_called_quiet(protocol: Protocol) -> None:
+async def test_a_followed_file_that_grows_no_more_is_called_quiet(protocol: Protocol) -> None:
     screen = browser(protocol, decoded(protocol, drive()), live=True)
 
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+    async with operated(screen, (60, 15)) as pilot:
         for since, words in ((5, "  following  121 rows"), (42, "following, quiet for 42 s")):
             screen.feed.grew = time.monotonic() - since
             screen.tick()
             await pilot.pause()
             assert words in text_of(screen)[0]
 
-    operated(screen, steps, (60, 15))
 
-
-def test_the_rows_stay_where_they_are_while_the_oldest_are_let_go(protocol: Protocol) -> None:
+async def test_the_rows_stay_where_they_are_while_the_oldest_are_let_go(protocol: Protocol) -> None:
     screen = browser(protocol, decoded(protocol, drive(2100)))
 
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+    async with operated(screen) as pilot:
         screen.feed.recording.let_go_oldest()
         screen.show_rows()
         assert screen.frames.row == screen.feed.recording.first > 0
@@ -505,13 +465,11 @@ def test_the_rows_stay_where_they_are_while_the_oldest_are_let_go(protocol: Prot
         await pilot.pause()
         assert [line[:90] for line in text_of(screen)[1:20]] == before
 
-    operated(screen, steps)
 
-
-def test_times_are_shown_in_each_style_and_from_a_row_on(screen: Browser) -> None:
+async def test_times_are_shown_in_each_style_and_from_a_row_on(screen: Browser) -> None:
     shown = []
 
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+    async with operated(screen) as pilot:
         await pilot.press("end")
         for key in "tttkr":
             shown.append(text_of(screen)[screen.frames.region.bottom - 1].split()[1:4])
@@ -519,29 +477,25 @@ def test_times_are_shown_in_each_style_and_from_a_row_on(screen: Browser) -> Non
             await pilot.pause()
         assert "since row" in text_of(screen)[1]
         assert text_of(screen)[screen.frames.region.bottom - 1].split()[2] == "0.0010"
-
-    operated(screen, steps)
     assert shown[0] == shown[3] == ["121", "0.5910", "1.0"]
     assert shown[2] == ["121", "00:00:00.5910", "1.0"]
 
 
-def test_columns_that_are_asked_for_are_those_of_an_export_too(
+async def test_columns_that_are_asked_for_are_those_of_an_export_too(
     protocol: Protocol, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     rows = RowStyle(None, chosen_columns("time,state.speed", columns_of(protocol)))
     screen = browser(protocol, decoded(protocol, drive()), rows=rows)
 
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+    async with operated(screen) as pilot:
         assert text_of(screen)[1].split()[:2] == ["time", "speed"]
         await written(pilot, screen, "out.csv")
-
-    operated(screen, steps)
     assert (tmp_path / "out.csv").read_text().splitlines()[0] == "time,state.speed"
 
 
-def test_the_fields_light_their_bytes_and_stay_folded(screen: Browser) -> None:
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+async def test_the_fields_light_their_bytes_and_stay_folded(screen: Browser) -> None:
+    async with operated(screen) as pilot:
         await pilot.press("j", "enter", "j", "j")
         assert screen.fields.has_focus
         screen.show_rows()  # as it does when rows come
@@ -556,13 +510,11 @@ def test_the_fields_light_their_bytes_and_stay_folded(screen: Browser) -> None:
         await pilot.press("enter", *"3j", "l")
         assert any("sets" in line for line in text_of(screen))
 
-    operated(screen, steps)
 
-
-def test_the_mouse_chooses_rows_and_scrolls(protocol: Protocol) -> None:
+async def test_the_mouse_chooses_rows_and_scrolls(protocol: Protocol) -> None:
     screen = browser(protocol, decoded(protocol, drive()), live=True)
 
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+    async with operated(screen) as pilot:
         await pilot._post_mouse_events([events.MouseScrollUp] * 3, "#frames", offset=(5, 5))
         assert not screen.follows
         assert screen.frames.row == screen.frames.top + screen.frames.room - 1 < 120
@@ -574,11 +526,9 @@ def test_the_mouse_chooses_rows_and_scrolls(protocol: Protocol) -> None:
         await pilot.click("#frames", offset=(10, 0))  # the heading is no row
         assert screen.frames.row == screen.frames.top
 
-    operated(screen, steps)
 
-
-def test_the_help_lists_every_key_and_scrolls(screen: Browser) -> None:
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+async def test_the_help_lists_every_key_and_scrolls(screen: Browser) -> None:
+    async with operated(screen, (120, 50)) as pilot:
         await pilot.press("question_mark")
         await pilot.pause()
         shown = "\n".join(text_of(screen))
@@ -591,21 +541,17 @@ def test_the_help_lists_every_key_and_scrolls(screen: Browser) -> None:
         await pilot.press("q")
         assert screen.frames.has_focus
 
-    operated(screen, steps, (120, 50))
-
 
 @pytest.mark.parametrize("key", ["q", "ctrl+c", "ctrl+q"])
-def test_the_screen_is_left_by(screen: Browser, key: str) -> None:
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+async def test_the_screen_is_left_by(screen: Browser, key: str) -> None:
+    async with operated(screen) as pilot:
         await pilot.press(key)
-
-    operated(screen, steps)
     assert screen.return_code == 0
 
 
 @pytest.mark.parametrize("before", ["q", "ctrl+c", "slash ctrl+c", "question_mark ctrl+c"])
 @pytest.mark.parametrize(("last", "kept"), [("enter", "kept.mcap"), ("ctrl+c", None)])
-def test_a_session_that_would_be_lost_is_offered_for_saving(
+async def test_a_session_that_would_be_lost_is_offered_for_saving(
     protocol: Protocol,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -618,7 +564,7 @@ def test_a_session_that_would_be_lost_is_offered_for_saving(
     screen = browser(protocol, decoded(protocol, drive()), live=True)
     screen.feed.keeps = True
 
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+    async with operated(screen) as pilot:
         await pilot.press(*before.split(), "escape")
         assert screen.frames.has_focus
         await pilot.press(*before.split())
@@ -626,14 +572,13 @@ def test_a_session_that_would_be_lost_is_offered_for_saving(
         assert "never overwritten" in text_of(screen)[-1]
         screen.prompt.line.value = "kept.mcap"
         await pilot.press(last)
+    assert screen.return_value == kept
 
-    assert operated(screen, steps) == kept
 
-
-def test_a_long_filter_can_be_stopped(protocol: Protocol, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_filter_can_be_stopped(protocol: Protocol, monkeypatch: pytest.MonkeyPatch) -> None:
     screen = browser(protocol, decoded(protocol, drive(11_000)))
 
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+    async with operated(screen) as pilot:
         with monkeypatch.context() as patch:
             patch.setattr(View, "catch_up", lambda view, most: view.test is None)
             await typed(screen, pilot, "direction == host")
@@ -648,15 +593,13 @@ def test_a_long_filter_can_be_stopped(protocol: Protocol, monkeypatch: pytest.Mo
         screen.tick()
         assert screen.frames.count == 11_000
 
-    operated(screen, steps)
-
 
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("size", [*SIZES, (39, 9), (20, 5), (10, 2), (1, 1)])
-def test_nothing_overlaps_at_any_size(protocol: Protocol, size: tuple[int, int]) -> None:
+async def test_nothing_overlaps_at_any_size(protocol: Protocol, size: tuple[int, int]) -> None:
     screen = browser(protocol, decoded(protocol, drive()))
 
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+    async with operated(screen, size) as pilot:
         await pilot.press("n", "enter", "escape", "slash", "escape", "question_mark", "escape")
         await pilot.pause()
         if size not in SIZES:
@@ -676,13 +619,12 @@ def test_nothing_overlaps_at_any_size(protocol: Protocol, size: tuple[int, int])
         assert any("80 " in line and "LED" in line for line in text_of(screen))  # bytes and words
         assert {len(line) for line in text_of(screen)} == {size[0]}
 
-    operated(screen, steps, size)
 
-
-def test_where_the_fields_have_no_room_enter_shows_them_alone(protocol: Protocol) -> None:
+async def test_where_the_fields_have_no_room_enter_shows_them_alone(protocol: Protocol) -> None:
     screen = browser(protocol, decoded(protocol, drive()))
 
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+    async with operated(screen, (40, 10)) as pilot:
+
         def panes() -> list[bool]:
             return [bool(pane.display) for pane in (screen.frames, screen.fields)]
 
@@ -693,11 +635,9 @@ def test_where_the_fields_have_no_room_enter_shows_them_alone(protocol: Protocol
         await pilot.press("enter", "slash", "escape")
         assert (panes(), screen.frames.has_focus) == ([True, False], True)
 
-    operated(screen, steps, (40, 10))
 
-
-def test_keys_go_on_working_where_the_pane_with_the_focus_has_vanished(screen: Browser) -> None:
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+async def test_keys_work_on_where_the_pane_with_the_focus_has_vanished(screen: Browser) -> None:
+    async with operated(screen) as pilot:
         await pilot.press("tab")
         for size in ((40, 10), (120, 40)):
             await pilot.resize_terminal(*size)
@@ -705,15 +645,13 @@ def test_keys_go_on_working_where_the_pane_with_the_focus_has_vanished(screen: B
         await pilot.press("j", "G")
         assert screen.frames.row == 120
 
-    operated(screen, steps)
 
-
-def test_a_filter_goes_on_with_the_rows_that_come(protocol: Protocol) -> None:
+async def test_a_filter_goes_on_with_the_rows_that_come(protocol: Protocol) -> None:
     test = compile_filter("direction == host", protocol)
     told = {"expression": "direction == host", "test": test}
     screen = browser(protocol, decoded(protocol, drive()), live=True, **told)
 
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+    async with operated(screen) as pilot:
         assert screen.filter_text == "direction == host"
         rows = 0
         for count in (60, 5, 10_001):  # so many are filtered beside
@@ -726,23 +664,19 @@ def test_a_filter_goes_on_with_the_rows_that_come(protocol: Protocol) -> None:
                 await pilot.pause(0.01)
             assert screen.frames.count == rows
 
-    operated(screen, steps)
 
-
-def test_markup_of_a_grammar_is_shown_as_it_is(horn_text: str) -> None:
+async def test_markup_of_a_grammar_is_shown_as_it_is(horn_text: str) -> None:
     protocol = load(horn_text.replace('9: "Horn"', '9: "Ho[/x][red]rn"'))
     screen = browser(protocol, decoded(protocol, [Chunk(0, "host", b"\x91\x03")]))
 
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+    async with operated(screen) as pilot:
         await pilot.press("slash", *"name == Ho")
         await pilot.pause()
         assert sum("Ho[/x][red]" in line for line in text_of(screen)) >= 3  # list, fields, prompt
 
-    operated(screen, steps)
 
-
-def test_every_sign_has_one_in_ascii(screen: Browser) -> None:
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+async def test_every_sign_has_one_in_ascii(screen: Browser) -> None:
+    async with operated(screen) as pilot:
         await pilot.press("n", "enter")
         for key in ("question_mark", "escape", "x"):
             await pilot.press(key)
@@ -751,10 +685,8 @@ def test_every_sign_has_one_in_ascii(screen: Browser) -> None:
                 if not sign.isascii():
                     assert sign.encode("ascii", NARROW) != b"?"
 
-    operated(screen, steps)
 
-
-def test_an_error_of_the_feed_closes_the_screen_and_is_raised(protocol: Protocol) -> None:
+async def test_an_error_of_the_feed_closes_the_screen_and_is_raised(protocol: Protocol) -> None:
     screen = browser(protocol, [])
 
     def fail(feed: Feed) -> None:
@@ -762,29 +694,25 @@ def test_an_error_of_the_feed_closes_the_screen_and_is_raised(protocol: Protocol
 
     screen.feed.work = fail
 
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
-        pass
-
     with pytest.raises(OSError, match="gone"):
-        operated(screen, steps)
+        async with operated(screen):
+            pass
 
 
 @pytest.mark.sample(2)
 @pytest.mark.parametrize("name", HOSTILE)
-def test_a_hostile_text_does_nothing_to_the_screen(protocol: Protocol, name: str) -> None:
+async def test_a_hostile_text_does_nothing_to_the_screen(protocol: Protocol, name: str) -> None:
     evil = HOSTILE[name]
     events = [Line(0, evil, "", evil), *drive(5), Line(60 * MS, "unplugged", "host", evil)]
     screen = browser(protocol, decoded(protocol, events), expression=evil)
     screen.feed.notice = screen.feed.said = screen.feed.captured = evil
     shown: list[str] = []
 
-    async def looked(screen: Browser, pilot: Pilot[Any]) -> None:
+    async with operated(screen, (160, 40)) as pilot:
         for key in ("home", "down", "end", "question_mark"):
             await pilot.press(key)
             await pilot.pause()
             shown.extend(text_of(screen))
-
-    operated(screen, looked, (160, 40))
 
     assert all(line.isprintable() for line in shown)
     assert any(printable(evil)[:8] in line for line in shown)

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import pytest
-from textual.pilot import Pilot
 
 from bilprov.analyzer.decode.records import DeviceRecord
 from bilprov.analyzer.decode.stream import StreamDecoder
@@ -42,12 +40,13 @@ def unused(protocol: Protocol, length: int) -> bytes:
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("size", [(100, 30), (80, 24)])
 @pytest.mark.parametrize("grammar", FRAMED)
-def test_every_row_can_be_chosen_and_looked_into(
+async def test_every_row_can_be_chosen_and_looked_into(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, grammar: str, size: tuple[int, int]
 ) -> None:
     monkeypatch.chdir(tmp_path)
 
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+    screen = on_screen(load(FRAMED[grammar]))
+    async with operated(screen, size) as pilot:
         for row in range(screen.frames.count):
             await pilot.press("j")
             assert screen.frames.cursor == min(row + 1, screen.frames.count - 1)
@@ -55,8 +54,6 @@ def test_every_row_can_be_chosen_and_looked_into(
         await pilot.press("x", *"rows.csv", "enter")
         await screen.workers.wait_for_complete()
         assert len(text_of(screen)) == size[1]
-
-    operated(on_screen(load(FRAMED[grammar])), steps, size)
     assert (tmp_path / "rows.csv").read_text()
 
 
@@ -77,55 +74,48 @@ def test_an_answer_shows_its_fields_and_what_it_answers() -> None:
     ("grammar", "words"),
     [("modbus_rtu", " --grammar modbus-rtu"), ("roboclaw", " --grammar FILE.py")],
 )
-def test_a_copied_frame_names_its_grammar(grammar: str, words: str) -> None:
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+async def test_a_copied_frame_names_its_grammar(grammar: str, words: str) -> None:
+    screen = on_screen(load(FRAMED[grammar], "in a.mcap"), odd=0)
+    async with operated(screen) as pilot:
         await pilot.press("j", "y")
         assert screen.said.startswith("copied: bilprov send PORT '")
         assert screen.said.endswith(f"'{words}")
 
-    operated(on_screen(load(FRAMED[grammar], "in a.mcap"), odd=0), steps)
 
-
-def test_the_bytes_have_room_for_a_frame_where_there_is_some() -> None:
+async def test_the_bytes_have_room_for_a_frame_where_there_is_some() -> None:
     protocol = load(FRAMED["roboclaw"])
     asked = build(protocol, "ForwardM1", {"address": 0x80, "speed": 64})
     screen = browser(protocol, told(StreamDecoder(protocol), [Chunk(0, "host", asked)], [1]))
 
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+    async with operated(screen, (100, 30)):
         assert any(f" {asked.hex(' ')} " in line for line in text_of(screen))
 
-    operated(screen, steps, (100, 30))
 
-
-def test_a_long_frame_is_shown_whole_on_a_wide_screen_and_cut_on_a_small_one(
+async def test_a_long_frame_is_shown_whole_on_a_wide_screen_and_cut_on_a_small_one(
     protocol: Protocol,
 ) -> None:
     frame = unused(protocol, protocol.data_lengths[-1])
     screen = browser(protocol, told(StreamDecoder(protocol), [Chunk(0, "host", frame)], [1]))
 
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+    async with operated(screen, (200, 30)) as pilot:
         assert any(f" {frame.hex(' ')} " in line for line in text_of(screen))
         await pilot.resize_terminal(80, 24)
         await pilot.pause()
         assert any(f" {frame[:3].hex(' ')} " in line for line in text_of(screen))
 
-    operated(screen, steps, (200, 30))
 
-
-def test_a_latency_is_shown_whole_or_not_at_all() -> None:
+async def test_a_latency_is_shown_whole_or_not_at_all() -> None:
     protocol = load(FRAMED["modbus_rtu"])
     asked = build(protocol, "ReadHoldingRegisters", {"address": 247, "start": 0, "quantity": 2})
     answer = build_reply(protocol, judge(protocol, asked), {"values": (0, 0)})
     events = [Chunk(0, "host", asked), Chunk(13 * MS, "device", answer)]
     screen = browser(protocol, told(StreamDecoder(protocol), events, [2]))
 
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+    async with operated(screen, (80, 24)) as pilot:
         assert not any("13." in line.split("values=0 0")[-1] for line in text_of(screen)[:4])
         await pilot.resize_terminal(120, 30)
         await pilot.pause()
         assert any("values=0 0   13.00 ms" in line for line in text_of(screen))
-
-    operated(screen, steps, (80, 24))
 
 
 def test_data_without_a_field_are_one_line_that_lights_them_all(protocol: Protocol) -> None:
@@ -157,15 +147,13 @@ def test_the_code_of_an_answer_that_refuses_has_its_sign(protocol: Protocol) -> 
     assert {look for _, look in looks[1:]} == {ORDINARY}
 
 
-def test_a_grammar_without_a_state_has_no_line_of_it() -> None:
+async def test_a_grammar_without_a_state_has_no_line_of_it() -> None:
     protocol = load(FRAMED["modbus_rtu"])
     asked = build(protocol, "ReadCoils", {"address": 1, "start": 0, "quantity": 8})
     (batch,) = told(StreamDecoder(protocol), [Chunk(0, "host", asked)], [1])
     assert "state" not in {one.label for one in details(protocol, batch.records()[0], state=True)}
     screen = browser(protocol, [batch])
 
-    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+    async with operated(screen):
         assert not screen.car.display
         assert screen.figures.region.y == screen.frames.region.y
-
-    operated(screen, steps)
