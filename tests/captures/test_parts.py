@@ -12,7 +12,7 @@ from bilprov.captures import topics
 from bilprov.captures.background import BackgroundWriter
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.parts import part_path, part_paths, said_of_parts
-from bilprov.captures.reader import Capture, open_capture, open_evidence, open_indexed
+from bilprov.captures.reader import Capture, open_capture, open_indexed
 from bilprov.captures.schemas import Checkpoint, Chunk, Line, Resumption
 from bilprov.captures.writer import CaptureWriter
 from tests.support.robots import until
@@ -165,13 +165,6 @@ def test_parts_that_were_written_anew_lose_nothing(tmp_path: Path) -> None:
                 writer.chunk(event)
     for capture in both_ways(path):
         assert list(capture) == chunks([1, 2, 3])
-
-
-def test_evidence_is_one_file(tmp_path: Path) -> None:
-    path = parts(tmp_path, 2)
-    with pytest.raises(CaptureError, match=r"is kept in parts, .* like .*drive\.00001\.mcap"):
-        open_evidence(path, ())
-    assert not open_evidence(part_path(path, 2), ()).capture.unfinished
 
 
 def until_there(capture: BackgroundWriter, number: int) -> None:

@@ -179,22 +179,6 @@ def test_what_is_lost_of_our_own_file_changes_neither_times_nor_topics(
     assert capture.start == (START if left else 0)
 
 
-@pytest.mark.parametrize(
-    ("data", "sentence"),
-    [
-        (b"", "is empty"),
-        (b"PK\x03\x04 and more of it", r"is not MCAP \(first bytes 50 4b 03 04"),
-        (b"\x89MCA", r"is not MCAP \(first bytes 89 4d 43 41,"),
-        (b"\x89MCAP0\r\n", "holds no topics; bilprov needs /host/raw or /device/raw"),
-    ],
-)
-def test_what_is_no_capture_is_refused_in_a_sentence(
-    tmp_path: Path, data: bytes, sentence: str
-) -> None:
-    with pytest.raises(CaptureError, match=sentence):
-        open_capture(with_bytes(tmp_path / "a.mcap", data))
-
-
 Fill = Callable[[Writer], Any]
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -111,16 +110,6 @@ def test_a_text_of_any_lines_comes_back_as_it_was(tmp_path: Path, relay: Protoco
     assert indexed.grammar_text == open_capture(path).grammar_text == text
     assert topics.GRAMMAR_TEXT not in open_capture(path).metadata
     assert set(names(path)) == {"Relays"}
-
-
-def test_info_tells_that_the_grammar_is_in_the_file(file: Path) -> None:
-    shown = given(("capture", "info", "{}"), file)
-    values = json.loads(given(("capture", "info", "{}", "--json"), file).stdout)
-
-    assert b"recorded with          the grammar that is in the file" in shown.stdout
-    assert b"Switches all relays" not in shown.stdout
-    assert topics.GRAMMAR_TEXT not in values["metadata"]
-    assert values["same_grammar"] is False
 
 
 # -- the grammar that is given, or the kit's own ------------------------------------------------

@@ -14,7 +14,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bilprov.analyzer.decode.batch import Batch, Records
-from bilprov.analyzer.decode.columns import ColumnBatch
 from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record, serious_faults
 from bilprov.analyzer.decode.stream import StreamDecoder
@@ -195,19 +194,6 @@ def answered(protocol: Protocol, count: int, seed: int) -> list[Event]:
         events.append(Chunk(t, "host", frame))
         events.append(Chunk(t + random.randrange(99 * MS), "device", random.randbytes(1)))
     return events
-
-
-@pytest.mark.sample(5)
-@pytest.mark.parametrize("heard", [{"host", "device"}, {"host"}, {"device"}])
-def test_totals_of_answers_of_every_kind_are_the_counts_of_the_records(
-    each_protocol: Protocol, heard: set[Any]
-) -> None:
-    events = answered(each_protocol, 1500, 1)
-    parts = told(StreamDecoder(each_protocol, heard=frozenset(heard)), events, [400])
-    found = totals(each_protocol, parts)
-
-    assert any(isinstance(part, ColumnBatch) for part in parts)
-    require_same(each_protocol, found, records_of(parts))
 
 
 def test_two_recordings_together_have_the_counts_of_both(protocol: Protocol) -> None:
