@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Sequence
+from random import Random
 
 import pytest
 
@@ -11,10 +12,11 @@ from bilprov.analyzer.decode.checkpoint import decoded, encoded
 from bilprov.analyzer.decode.records import HostRecord
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.monitor.passive_judge import Findings, PassiveJudge
+from bilprov.analyzer.simulated.device import SimulatedDevice
 from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.spec.codec import build, judge
 from bilprov.spec.protocol import Protocol, load
-from tests.support.framed_traffic import FRAMED
+from tests.support.framed_traffic import FRAMED, drawn_request
 
 FRAMES = (b"\x20", b"\x11\x01", b"\x00", b"\x81\x09", b"\xf0", b"\x41\xff")
 CUT = b"\x11"
@@ -123,18 +125,9 @@ def states(session: Session, protocol: Protocol, *sent: tuple[str, int]) -> list
     return found
 
 
-def test_a_frame_changes_the_state_of_its_address_only() -> None:
-    sent = (("On", 1), ("Read", 2), ("Toggle", 2), ("Read", 1), ("Off", 1), ("Read", 2))
-    assert states(Session(RELAY), RELAY, *sent) == [1, 0, 1, 1, 0, 1]
-
-
 def test_what_is_sent_to_all_changes_each_state() -> None:
     sent = (("Toggle", 1), ("On", 0), ("Read", 1), ("Read", 4), ("Off", 0), ("Read", 1))
     assert states(Session(FOR_ALL), FOR_ALL, *sent) == [1, 1, 1, 1, 0, 0]
-
-
-def test_a_state_that_no_frame_tells_is_not_known() -> None:
-    assert states(Session(RELAY), RELAY, ("Pulse", 3), ("Toggle", 3), ("On", 3)) == [None, None, 1]
 
 
 def test_a_checkpoint_has_the_state_of_each_address() -> None:
@@ -146,3 +139,37 @@ def test_a_checkpoint_has_the_state_of_each_address() -> None:
     assert again == saved
     other.resume(again)
     assert states(other, RELAY, ("Read", 1), ("Read", 2), ("Read", 3)) == [1, None, 0]
+
+
+# -- an answer that reports a variable sets what is predicted from then on -------------------------
+
+FAN = load(
+    FRAMED["relay_board"]
+    .replace("STATE = Variables(on=Whole(0, 1))", 'STATE = Variables(on=Word("off", "on"))')
+    .replace(
+        'Reports("on", Enum(Byte, on=1, off=2), factor=-1, plus=2)',
+        'Reports("on", Enum(Byte, on=1, off=2))',
+    )
+    .replace("on=1))", 'on="on"))')
+    .replace("on=0)", 'on="off")')
+    .replace("on=Changed(-1, 1)", "on=Unknown()")
+    .replace("    Whole,\n", "    Whole,\n    Word,\n")
+)
+
+
+@pytest.mark.parametrize("protocol", [RELAY, FAN], ids=["number", "word"])
+def test_the_prediction_agrees_with_a_simulated_device_that_changed_unseen(
+    protocol: Protocol,
+) -> None:
+    device, session, random = SimulatedDevice(protocol), Session(protocol), Random(3)
+    for step in range(60):
+        t, request = step * 1000 * MS, drawn_request(protocol, random)
+        device.receive(request, t)
+        if random.random() < 0.3:
+            device.advance(t + MS)
+            continue  # nobody has seen it
+        session.feed(Chunk(t, "host", request))
+        (record,) = session.feed(Chunk(t + MS, "device", device.advance(t + MS)))
+
+        known = device.state(judge(protocol, request).address)
+        assert known.on is None or record.state == known
