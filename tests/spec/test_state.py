@@ -91,15 +91,6 @@ def test_rest_is_any_or_all_of_the_values() -> None:
     assert AnyOf(a=0, b=0).follows({"a": 0})
 
 
-def test_a_state_is_told_in_words() -> None:
-    state = BOARD.state(relays=5, level=-2, fan="low")
-    assert state.described == "relays 5 fan low level -2 on 0"
-    unknown = state.but(level=0, fan=None, on=None)
-    assert unknown.described == "relays 5 fan not known level 0 on not known"
-    assert car_state("forward", 80).described == "forward speed 80 led 0"
-    assert car_state("stopped", 80, -3).described == "stopped speed 80 steering -3 led 0"
-
-
 PLAIN = {"on=Changed(-1, 1)": "on=1", "level=Changed(1, 1)": "level=3"}  # by no old value
 LONG = PLAIN | {'Instruction(document="up"': 'Instruction("by" / Byte, "at" / Byte, document="up"'}
 

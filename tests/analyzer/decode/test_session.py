@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 import pytest
 from hypothesis import given
@@ -16,7 +16,7 @@ from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol
-from tests.support.decoding import MS, Event, decoded, devices, hosts, kinds
+from tests.support.decoding import MS, Event, decoded, devices, hosts
 from tests.support.traffic import ACTS, Acts, played
 
 
@@ -80,29 +80,6 @@ def test_when_time_is_told_changes_no_record(
     assert told == untold
 
 
-@pytest.mark.parametrize(
-    ("begun", "answer", "kinds", "pairs"),
-    [
-        (b"\x11", b"\x04", ["truncated", "instruction"], [(0, True), (1, True)]),
-        (b"\x9f", b"\x00", ["garbage", "instruction"], [(None, None), (0, True)]),
-    ],
-)
-def test_an_answer_in_the_midst_of_a_frame_shows_that_the_device_gave_it_up(
-    protocol: Protocol, begun: bytes, answer: bytes, kinds: list[str], pairs: list[Any]
-) -> None:
-    events = [
-        Chunk(0, "host", begun),
-        Chunk(15 * MS, "device", answer),
-        Chunk(40 * MS, "host", b"\x20"),
-        Chunk(41 * MS, "device", b"\x00"),
-    ]
-
-    records = decoded(Session(protocol), events)
-
-    assert [r.value.kind for r in hosts(records)] == kinds
-    assert [(r.value.instruction, r.value.agrees) for r in devices(records)] == pairs
-
-
 @pytest.mark.parametrize("tap", ["host", "device", ""])
 @pytest.mark.parametrize("begun", [b"", b"\x11"])
 def test_answers_held_when_a_tap_is_unplugged_come_before_all_that_follows(
@@ -158,31 +135,6 @@ def test_the_last_byte_of_four_of_the_longest_frames_decides_what_was_unclear(
 
 # -- pairing of answers with instructions, and the anomalies that are reported ---------------------
 
-# What the host says (ms), what the device answers, and to which instruction after how long (ms).
-PAIRS: dict[str, tuple[list[tuple[int, str]], list[tuple[int, str]], list[tuple[int, int]]]] = {
-    "the last byte counts": ([(0, "11"), (10, "05")], [(13, "00")], [(0, 3)]),
-    "silence": ([(0, "20"), (2000, "00")], [(2001, "00")], [(1, 1)]),
-    "a frame that is cut short may go unanswered": (
-        [(0, "11"), (100, "20"), (110, "90")],
-        [(101, "00"), (111, "01")],
-        [(1, 1), (2, 1)],
-    ),
-    "codes tell that an answer is lost": ([(0, "20"), (200, "90")], [(201, "01")], [(1, 1)]),
-}
-
-
-@pytest.mark.parametrize("name", PAIRS)
-def test_an_answer_is_paired_with_its_instruction(protocol: Protocol, name: str) -> None:
-    said, answered, pairs = PAIRS[name]
-    events = [Chunk(t * MS, "host", bytes.fromhex(data)) for t, data in said]
-    events += [Chunk(t * MS, "device", bytes.fromhex(data)) for t, data in answered]
-
-    records = decoded(Session(protocol), sorted(events, key=lambda event: event.t))
-
-    assert [(r.value.instruction, (r.latency or 0) // MS) for r in devices(records)] == pairs
-    assert all(record.value.agrees for record in devices(records))
-    assert kinds(records).count("unanswered") == len(hosts(records)) - len(pairs)
-
 
 @pytest.mark.slow
 def test_of_a_flood_of_instructions_at_one_time_the_oldest_are_given_up(protocol: Protocol) -> None:
@@ -214,14 +166,6 @@ def test_a_flood_of_answers_ends_the_search_for_frames(protocol: Protocol) -> No
     records = [r for _ in range(1000) for r in session.feed(Chunk(0, "device", bytes(64)))]
 
     assert len(devices(records)) > 10_000
-
-
-def test_after_bytes_were_lost_an_answer_is_that_of_no_frame_before(protocol: Protocol) -> None:
-    events = [host(b"\x20"), Line(MS, "gap"), Chunk(2 * MS, "device", b"\x00")]
-
-    records = decoded(Session(protocol), events)
-
-    assert [record.value.instruction for record in devices(records)] == [None]
 
 
 def host(data: bytes) -> Chunk:

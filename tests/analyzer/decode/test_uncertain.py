@@ -2,100 +2,45 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import json
 import os
 import select
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import msgspec
 import pytest
 
 from bilprov.analyzer import api
 from bilprov.analyzer.cli.options import above_latency
 from bilprov.analyzer.client import port_driver as of_device
-from bilprov.analyzer.decode.batch import Records
-from bilprov.analyzer.decode.records import HostRecord, Record
+from bilprov.analyzer.decode.records import HostRecord
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.output.outputs import json_text
-from bilprov.analyzer.output.row_columns import CsvText, Times, usual_columns
-from bilprov.analyzer.output.text_lines import LineRenderer
 from bilprov.analyzer.replay import target as of_target
 from bilprov.analyzer.screen.details import details
 from bilprov.analyzer.transport import machine as of_machine
 from bilprov.analyzer.transport.port import open_pty
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk
-from bilprov.spec.protocol import Protocol
 from tests.support.captures import about, write_capture
 from tests.support.commands import command
-from tests.support.decoding import MS, decoded, devices, hosts
+from tests.support.decoding import MS, decoded, hosts
 from tests.support.machines import FakeMachine
 
-MODBUS, STK500 = load_protocol("modbus-rtu"), load_protocol("stk500v1")
+MODBUS = load_protocol("modbus-rtu")
 READ = bytes.fromhex("1103006b00037687")  # section 6.3 of the document, with its address and check
 UNKNOWN = bytes.fromhex("116400010203")  # no function 100, and no check is right
 SILENT_END = "its end is uncertain: only silence marks it"
-UNCLEAR = "came before it was clear where frames begin"
 
 
-def rows(protocol: Protocol, records: Sequence[Record]) -> list[dict[str, str]]:
-    """The records as CSV."""
-    table = CsvText(usual_columns(protocol), Times())
-    return list(csv.DictReader(io.StringIO(table.header + table.text(records))))
-
-
-def test_a_frame_that_only_silence_ends_is_uncertain_wherever_it_is_shown() -> None:
+def test_the_details_of_a_frame_that_only_silence_ends_have_a_line_of_it() -> None:
     events = [Chunk(MS, "host", UNKNOWN), Chunk(500 * MS, "host", READ)]
     odd, whole = hosts(decoded(Session(MODBUS, heard=frozenset({"host"})), events))
-
-    assert (odd.uncertain, whole.uncertain) == (True, False)
-    assert (msgspec.json.decode(msgspec.json.encode(odd.value))["uncertain"]) is True
-    assert msgspec.to_builtins(whole.value)["uncertain"] is False
-    assert odd.value.reason == odd.reason == f"crc is 02 03, right is 85 07; {SILENT_END}"
-    assert LineRenderer(colour=False).line(odd).endswith(SILENT_END)
-    texts = [(one.label, one.text) for one in details(MODBUS, odd, state=False)]
-    assert ("uncertain", SILENT_END) in texts
-    assert "uncertain" not in [one.label for one in details(MODBUS, whole, state=False)]
-    first, second = map(json.loads, json_text([odd, whole]).splitlines())
-    assert (first["uncertain"], "uncertain" in second) == (True, False)
-    assert [row["uncertain"] for row in rows(MODBUS, [odd, whole])] == ["true", ""]
-    chosen = compile_filter("'uncertain' in reason", MODBUS).selection(Records([odd, whole]))
-    assert chosen.host.tolist() == [True, False]
-
-
-def test_an_end_mark_tells_the_end_and_a_frame_without_it_is_uncertain() -> None:
-    for frame, certain in (("6620", True), ("660120", False), ("6601", False)):
-        (one,) = hosts(decoded(Session(STK500), [Chunk(0, "host", bytes.fromhex(frame))]))
-        assert one.uncertain is not certain
-
-
-def test_an_answer_that_only_silence_ends_is_uncertain() -> None:
-    events = [Chunk(0, "host", READ), Chunk(MS, "device", bytes.fromhex("11030602"))]
-    (one,) = devices(decoded(Session(MODBUS), events))
-    assert one.uncertain
-    assert msgspec.to_builtins(one.value)["uncertain"] is True
-    assert one.reason.endswith(SILENT_END)
-    line = json.loads(json_text([one]))
-    assert line["uncertain"] is True
-    assert line["faults"] == ["damaged answer"]
-
-
-def test_frames_are_uncertain_until_a_check_is_right() -> None:
-    """Listening began in the middle of a request: what is left of it looks like a broken one."""
-    rest = bytes.fromhex("05030001000212ab")
-    events = [Chunk(t * MS, "host", data) for t, data in enumerate((rest, READ, rest), 1)]
-    found = hosts(decoded(Session(MODBUS, attached=True), events))
-    assert [one.data for one in found] == [rest, READ, rest]
-    assert [one.uncertain for one in found] == [True, False, False]
-    assert found[0].reason.endswith(UNCLEAR)
+    for record, lines in ((odd, [SILENT_END]), (whole, [])):
+        found = details(MODBUS, record, state=False)
+        assert [one.text for one in found if one.label == "uncertain"] == lines
 
 
 @pytest.fixture
