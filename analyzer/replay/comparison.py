@@ -123,6 +123,11 @@ class Exchanges:
             frame.sequence: one for frame, one in frames if frame and frame.sequence is not None
         }
 
+    @property
+    def flooded(self) -> bool:
+        """Whether so many bytes came that answer no instruction that no answer can be trusted."""
+        return self.surplus >= FLOOD
+
     def floods(self, recorded: Exchanges) -> bool:
         """Whether far more bytes answer no instruction than in the recording so far."""
         return self.surplus - recorded.surplus > _SURPLUS
@@ -205,7 +210,6 @@ class AnswerCheck:
     first_wrong: str = ""
     unasked: int = 0
     echoed: bool = False
-    _unpaired: int = 0
     _asked: bytes = b""
     _heard: bytes = b""
 
@@ -223,17 +227,11 @@ class AnswerCheck:
                 self.wrong += 1
                 self.first_wrong = self.first_wrong or record.reason
         elif isinstance(record, DeviceRecord):
-            self._unpaired += len(record.data)
             self.echoed |= bool(self._asked) and self._heard.startswith(self._asked)
             # Bytes of which only the end is uncertain are unasked all the same.
             doubts = {fault.kind for fault in record.faults if fault.severity is Severity.INFO}
             if doubts <= {UNCERTAIN}:
                 self.unasked += len(record.data)
-
-    @property
-    def flooded(self) -> bool:
-        """Whether so many bytes came that answer no instruction that no answer can be trusted."""
-        return self._unpaired >= FLOOD
 
     @property
     def unasked_words(self) -> str:

@@ -87,12 +87,12 @@ def send_items(
     with agreed(protocol, options, opened, "what is sent", words) as (eye, stopper):
 
         def heard(record: Record) -> None:
-            if check.flooded:
+            if run.flooded:
                 return
             check.record(record)
             run.record(record)
             output.records([record])
-            if check.flooded:
+            if run.flooded:
                 stopper.stop()
 
         def done(what: bytes | float) -> None:
@@ -131,14 +131,14 @@ def send_items(
                         raise
                     gaps.append(_resumed(target, place, settings, stopper, lost))
     told = [*gaps, target.driven_out_words]
-    told.append(FLOOD_WORDS if check.flooded else check.unasked_words)
+    told.append(FLOOD_WORDS if run.flooded else check.unasked_words)
     if expectations:
         told.append(first_difference(protocol, run, expected))
     else:
         told += [check.wrong_words, check.missing_words]
     if check.sent < planned:
         told.append(f"{check.sent} of {quantity(planned, 'instruction')} were sent")
-    elif stopper.stopped and not check.flooded:
+    elif stopper.stopped and not run.flooded:
         told.append("stopped before the end")
     if not target.answered_stops:
         told.append(UNANSWERED_STOPS)
