@@ -74,7 +74,8 @@ def replay(options: ReplayOptions) -> int:
     With --to the host's bytes between --start and --end go to a device too, with their recorded
     timing (at --rate 0 each frame when the one before is answered), and every answer that differs
     from the recorded one is reported: exit code 1 if there is any, 3 if the recording holds no
-    answers. It is also 1 if the device does not answer the stops at the end.
+    answers. It is also 1 if the device floods the line, which ends it, or does not answer the stops
+    at the end.
 
     With --judge the recorded device is judged: a table at the end (with --format jsonl a last
     object of kind judgement) shows which parts of the document the traffic covered and what
