@@ -20,9 +20,8 @@ from bilprov.spec.codec import build, judge
 from bilprov.spec.explain import explain
 from bilprov.spec.fields import Outcome
 from bilprov.spec.framing import Framer
-from bilprov.spec.protocol import GrammarError, Protocol, load
+from bilprov.spec.protocol import Protocol, load
 from bilprov.spec.replies import build_reply, read_reply, reply_size
-from bilprov.spec.safe_grammar import require_declarations
 from tests.support.drawn_layouts import drawn_fields, drawn_layout, drawn_values
 from tests.support.framed_traffic import READS_UNCHECKED, WITH_SYNC
 from tests.support.grammars import CAMERA
@@ -186,21 +185,6 @@ def test_what_lacks_its_check_is_explained_and_answered() -> None:
 # -- parts of less than a byte ---------------------------------------------------------------------
 
 
-def test_an_address_and_constants_may_be_some_bits() -> None:
-    """The bytes are those of the document, typed by hand."""
-    protocol, space = load(CAMERA), dict[str, Any]()
-    exec(CAMERA, space)
-    require_declarations(CAMERA)
-    asked = build(protocol, "Zoom", {"address": 2, "sender": 0})
-    assert asked.hex(" ") == "82 09 04 47 ff"
-    answer = bytes.fromhex("a0 50 00 0a 0b 04 ff")
-    read = read_reply(protocol, answer, judge(protocol, asked))
-    assert read.describe() == "@2 answer position=00 0a 0b 04"
-    assert build_reply(protocol, judge(protocol, asked), dict(read.fields)) == answer
-    alone = parsed(space["REPLY"], answer, asked=question(space["FRAME"], asked))
-    assert alone["position"] == bytes.fromhex("00 0a 0b 04")
-
-
 @pytest.mark.parametrize(
     ("first", "reason"), [("02", "mark is 0, right is 1"), ("8a", "a constant is 1, right is 0")]
 )
@@ -212,30 +196,6 @@ def test_wrong_fixed_bits_are_said_and_begin_no_frame(first: str, reason: str) -
     assert [record.kind for record in Framer(protocol, 1_000).feed(frame, 0)] == []
     right = request_tables(protocol).cut(np.frombuffer(frame, np.uint8), 0)
     assert (len(right.whole.size), right.regular) == (0, False)
-
-
-def test_fixed_bits_behind_the_data_end_a_frame() -> None:
-    end = '"tail" / BitStruct("end" / Const(255, BitsInteger(8)))'
-    protocol = load(CAMERA.replace('"end" / Const(b"\\xff")', end))
-    assert build(protocol, "Power", {"address": 1, "sender": 0}).hex(" ") == "81 09 04 00 ff"
-    (wrong,) = explain(protocol, bytes.fromhex("81 09 04 00 fe")).frames
-    assert wrong.judgement.reason == "end is 254, right is 255"
-    assert [(one.name, one.meaning) for one in wrong.groups if one.fault] == [
-        ("end", "must be 255")
-    ]
-
-
-@pytest.mark.parametrize(
-    ("part", "wrong", "refused"),
-    [
-        ("Address(BitsInteger(3), 1, 7)", "Address(BitsInteger(3), 1, 8)", "values up to 8 in"),
-        ('"sender" / BitsInteger(3)', '"sender" / BitsInteger(2)', "they must fill whole bytes"),
-        ('"sender" / BitsInteger(3)', '"sender" / Byte', "must be written BitsInteger(width)"),
-    ],
-)
-def test_bits_that_cannot_be_read_are_refused(part: str, wrong: str, refused: str) -> None:
-    with pytest.raises(GrammarError, match=refused.replace("(", r"\(").replace(")", r"\)")):
-        load(CAMERA.replace(part, wrong))
 
 
 # -- sizes at which a check is right ---------------------------------------------------------------

@@ -3,7 +3,7 @@
 A paragraph of `refused_grammars.txt` is a grammar with one thing changed, or the base of those that
 follow; the first characters of a line give its meaning:
 
-    @ FILE             the base; changes below it are made for each of its rows
+    @ FILE, : TEXT     the base, a file or these lines; changes below are made for each row
     - TEXT, + TEXT     what is replaced, and what takes its place; several lines are one text
     ! SENTENCE         what is said; in place of a line's number stands that line of the grammar
     ? SENTENCE         what is said of it as part of a capture, where that is another sentence
@@ -47,7 +47,9 @@ def rows() -> dict[str, str]:
     found: dict[str, str] = {}
     for part in PARTS:
         if part.startswith("@ "):
-            base = (ROOT / part.split("\n")[0][2:]).read_text(encoding="utf-8")
+            file, *below = part.split("\n")
+            base = "".join(f"{line[2:]}\n" for line in below if line.startswith(":"))
+            base = base or (ROOT / file[2:]).read_text(encoding="utf-8")
             base = mutated(base, changes(part)) if changes(part) else base
         else:
             found[part] = mutated(base, changes(part))
