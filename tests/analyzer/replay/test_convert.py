@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from bilprov.analyzer.api import read_capture
@@ -23,7 +22,7 @@ from bilprov.analyzer.replay.recorder import Recorder, RecordWriter
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import open_capture, open_quickly
-from bilprov.captures.schemas import MS, Chunk, Line
+from bilprov.captures.schemas import MS, Chunk
 from bilprov.spec.codec import all_data, raw_frame
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
@@ -150,21 +149,6 @@ def test_the_new_file_has_checkpoints_to_go_on_from(protocol: Protocol, live: Pa
             opened.decoder.feed(list(opened.capture.events(opened.after))) + opened.decoder.finish()
         )
         assert there == every[-len(there) :]
-
-
-def test_damage_becomes_a_gap(live: Path) -> None:
-    with live.open("rb") as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None
-    content = bytearray(live.read_bytes())
-    chunks = summary.chunk_indexes
-    content[chunks[len(chunks) // 2].chunk_start_offset + 33] ^= 255  # in the checksum
-    live.write_bytes(bytes(content))
-    new, done = converted(live)
-    assert b"is damaged" in done.stderr
-    assert list(open_capture(new).events()) == list(open_capture(live).events())
-    assert [e.event for e in open_capture(new) if isinstance(e, Line)] == ["gap"]
-    assert open_capture(new).damage == ()
 
 
 def test_a_foreign_capture_is_taken_without_its_other_topics(tmp_path: Path) -> None:

@@ -18,7 +18,6 @@ from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record, serious_faults
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.filters.filter import compile_filter
-from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.totals.totals import (
     BUCKETS,
     SECOND,
@@ -277,25 +276,3 @@ def test_only_answers_that_are_due_are_expected(grammar: str, odd: float) -> Non
     assert without_none(found.expected()) == due
     if not odd:
         assert without_none(found.responses()) == due
-
-
-def test_latencies_of_unused_ids_that_are_not_told_apart_are_left_out() -> None:
-    protocol = load_protocol("modbus-rtu")
-    check = protocol.layout.check
-    assert check is not None
-
-    def exchanged(t: int, function: int) -> list[Event]:
-        parts = (bytes([17, function]), bytes([17, function | 0x80, 1]))
-        sent, told = (part + check.function(part).to_bytes(2, "little") for part in parts)
-        return [Chunk(t, "host", sent), Chunk(t + function * MS, "device", told)]
-
-    def latencies(events: list[Event]) -> list[int]:
-        found = totals(
-            protocol, told(StreamDecoder(protocol), events, [len(events)])
-        ).instructions()
-        spreads = [one.latencies for name, one in found.items() if name.startswith("unused")]
-        return [spread.max // MS for spread in spreads if spread]
-
-    first, other = exchanged(0, 0x0C), exchanged(500 * MS, 0x18)
-    assert latencies(first) == [12]
-    assert latencies([*first, *other]) == []
