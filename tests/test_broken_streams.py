@@ -48,7 +48,10 @@ def started(redirections: str, stdin: int, *arguments: str) -> subprocess.Popen[
 
 
 def broken(stream: str, how: str, *arguments: str, said: int = PAGE) -> Done:
-    """The command, with the streams that are left captured; `said` is how much goes to the sink."""
+    """The command, with the streams that are left captured; `said` is how much goes to the sink.
+
+    One that is `read late` is a full, non-blocking pipe, and comes back as if it were captured.
+    """
     reader, filled = -1, 0
     if how == "hung up":
         with open_pty() as terminal:
@@ -61,15 +64,25 @@ def broken(stream: str, how: str, *arguments: str, said: int = PAGE) -> Done:
         # With room for all that will be said but a byte, as far as one page goes.
         fcntl.fcntl(end, fcntl.F_SETPIPE_SZ, PAGE)
         filled = os.write(end, bytes(min(PAGE, max(0, PAGE + 1 - said))))
+    elif how == "read late":
+        fcntl.fcntl(end, fcntl.F_SETPIPE_SZ, PAGE)
+        os.set_blocking(end, False)
+        filled = os.write(end, bytes(PAGE))
     elif reader >= 0:
         os.close(reader)
     redirections = CLOSED[stream] if how == "closed" else STREAMS[stream]
     process = started(f"{redirections} </dev/null", end, *arguments)
     os.close(end)
+    late = b""
     if how == "read in part":
         read_and_gone(reader, filled)
+    elif how == "read late":
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(1.0)
+        with os.fdopen(reader, "rb") as sink:
+            late = sink.read()[filled:]
     out, err = process.communicate(timeout=PATIENCE)
-    return subprocess.CompletedProcess(arguments, process.returncode, out, err)
+    return subprocess.CompletedProcess(arguments, process.returncode, out or late, err or late)
 
 
 def read_and_gone(reader: int, filled: int) -> None:
@@ -314,30 +327,13 @@ SLOWLY_READ = {
 }
 
 
-def read_late(*arguments: str, stream: str) -> Done:
-    """The command with a stream that is a full, non-blocking pipe, which is read late."""
-    reader, end = os.pipe()
-    with os.fdopen(reader, "rb") as said:
-        fcntl.fcntl(end, fcntl.F_SETPIPE_SZ, PAGE)
-        os.set_blocking(end, False)
-        os.write(end, b"x" * PAGE)
-        process = started(f"{STREAMS[stream]} </dev/null", end, *arguments)
-        os.close(end)
-        with suppress(subprocess.TimeoutExpired):
-            process.wait(1.0)
-        shown = said.read()[PAGE:]
-        out, err = process.communicate(timeout=PATIENCE)
-    assert b"Traceback" not in err
-    return subprocess.CompletedProcess(arguments, process.returncode, out or shown, err or shown)
-
-
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("name", SLOWLY_READ)
 def test_a_slow_reader_of_a_nonblocking_stream_is_waited_for(name: str, runs: Path) -> None:
     with simulate() as robot:
         given = shlex.split(SLOWLY_READ[name].format(runs=runs, port=robot.port))
         whole = command(*given)
-        result = read_late(*given, stream="stdout")
+        result = broken("stdout", "read late", *given)
         moving = robot.state()["moving"]
 
     assert (result.returncode, moving) == (whole.returncode, False), result
@@ -348,7 +344,7 @@ def test_a_slow_reader_of_a_nonblocking_stream_is_waited_for(name: str, runs: Pa
 
 
 def test_an_error_is_said_though_standard_error_is_nonblocking() -> None:
-    assert read_late("decode", "zz", stream="stderr").stderr == command("decode", "zz").stderr
+    assert broken("stderr", "read late", "decode", "zz").stderr == command("decode", "zz").stderr
 
 
 def test_a_recording_goes_on_while_a_nonblocking_stream_is_not_read(tmp_path: Path) -> None:
