@@ -36,12 +36,7 @@ def test_a_robot_with_a_horn_conforms_to_its_grammar(horn: Protocol, level: str)
 @pytest.mark.parametrize(
     ("has_horn", "only", "level", "caught"),
     [
-        (
-            False,
-            ("valid/Horn/*", "unused-id/*", "valid/LED/*", "link/*"),
-            "standard",
-            "valid/Horn/3",
-        ),
+        (False, ("valid/Horn/*", "unused-id/*", "valid/LED/*"), "standard", "valid/Horn/3"),
         (True, ("unused-id/*", "valid/LED/*", "bad-data/LED/1?"), "standard", "unused-id/9/1"),
         (True, (), "smoke", "unused-id/9/0"),
         pytest.param(True, (), "standard", "unused-id/9/1", marks=pytest.mark.sample(0)),

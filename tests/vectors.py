@@ -120,8 +120,6 @@ def _stream(title: str, clause: str, written: str) -> StreamVector:
     return StreamVector(title, clause, b"".join(parts), tuple(parts[:-1]), parts[-1])
 
 
-VERSION = "1.1"
-
 # Section 3, table 1.
 HEADERS = (
     InstructionRow(0, "Stop", "Stopp", 0),
