@@ -90,7 +90,10 @@ class _Column:
         if not part.known.any():
             return found
         values, counts = np.unique(part.numbers[part.known], return_counts=True)
-        steps = values[np.unique(np.linspace(0, len(values) - 1, _THRESHOLDS).astype(int))]
+        alone = np.unique(part.numbers[single & part.known])
+        # Of what is certain, both ends: a threshold beside them splits one cause.
+        evenly = values[np.unique(np.linspace(0, len(values) - 1, _THRESHOLDS).astype(int))]
+        steps = np.unique([*evenly, *alone[:1], *alone[-1:]])
         from_steps = [Literal(feature, "from", int(value)) for value in steps]
         if feature.grows:
             return found + from_steps
@@ -100,8 +103,7 @@ class _Column:
         found += [Literal(feature, "to", int(value)) for value in steps]
         for bit in range(feature.bits):
             found += [Literal(feature, "bit", bit), Literal(feature, "no bit", bit)]
-        if feature.counts and (single & part.known).sum() > 2:
-            alone = np.unique(part.numbers[single & part.known])
+        if feature.counts:
             found += [Literal(feature, "every", period) for period in _periods(alone)]
         return found
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
@@ -35,7 +36,7 @@ from bilprov.conformance.causes.exchanges import (
     Known,
     Timing,
 )
-from bilprov.conformance.causes.features import Literal, features, matches
+from bilprov.conformance.causes.features import Feature, Literal, features, matches
 from bilprov.conformance.causes.learner import Learner, Table
 from bilprov.conformance.causes.relations import Relation, relations
 from bilprov.conformance.causes.reproduction import Finder, shown_by, shown_in
@@ -51,6 +52,7 @@ from bilprov.conformance.report.run_report import Report
 from bilprov.spec.fields import Outcome
 from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.state import State
 from tests.support.faults import EIGHT_BITS
 
 SMOKE = Options(level="smoke")
@@ -223,32 +225,47 @@ def test_causes_follow_the_grammar(horn: Protocol) -> None:
     assert cause.send == ("91 03",)
 
 
-def is_valid(event: Event, name: str) -> bool:
-    return event.judgement.valid and event.judgement.name == name
+def ends_in_ff(event: Event, after: State) -> State:
+    wrong = not event.judgement.valid and event.judgement.frame[1:].endswith(b"\xff")
+    return event.before if wrong else after
+
+
+def ignores_led(event: Event, after: State) -> State:
+    valid = event.judgement.valid and event.judgement.name == "LED"
+    return event.before if valid and event.before.motion != Motion.STOPPED else after
 
 
 @pytest.mark.sample(1)
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("wrong", "told", "when"),
+    ("made", "told", "when"),
     [
-        (lambda e: not e.judgement.valid and e.judgement.frame[1:].endswith(b"\xff"),
-         "does not stop and steering stays as it was", "a faulty frame, with last data byte 255"),
-        (lambda e: is_valid(e, "LED") and e.before.motion != Motion.STOPPED,
-         "led stays as it was", "LED, while a motion is set"),
+        (ends_in_ff, "does not stop and steering stays as it was",
+         "a faulty frame, with last data byte 255"),
+        (ignores_led, "led stays as it was", "LED, while a motion is set"),
     ],
 )  # fmt: skip
-def test_causes_know_the_last_data_byte_and_motions_that_speed_0_does_not_show(
-    protocol: Protocol, wrong: Callable[[Event], bool], told: str, when: str
+def test_causes_know_the_last_data_byte_and_a_motion_that_speed_0_hides(
+    protocol: Protocol, made: Callable[[Event, State], State], told: str, when: str
 ) -> None:
     def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
-        return replace(reaction, state=event.before) if wrong(event) else reaction
+        return replace(reaction, state=made(event, reaction.state))
 
     fault = replace(fault_bank(protocol)["always-0"], react=react)
     options = Options(level="standard", only=("combined/pipelined/00*", "sequence/tour/0*"))
-    report = conform(Simulator(protocol, fault), grammar=protocol, options=options)
-    [cause] = report.causes
-    assert (cause.sentence.partition(" after ")[0], cause.when) == (told, when)
+    [cause] = conform(Simulator(protocol, fault), grammar=protocol, options=options).causes
+    assert cause.sentence.startswith(told)
+    assert cause.when.startswith(when)
+
+
+def test_a_range_ends_where_what_is_certain_ends() -> None:
+    """Other numbers are many, so that no evenly spaced threshold stands there."""
+    number = Feature("number", lambda one: cast("Any", one).value, "{}")
+    certain: list[Any] = [SimpleNamespace(value=-value) for value in range(4, 256)]
+    others: list[Any] = [SimpleNamespace(value=value) for value in range(256)]
+    bags = [(one,) for one in certain] + [(certain[0], other) for other in others]
+    rule = Learner(Table([number], [*certain, *others]), 9, bags, others).one_rule(1.0)
+    assert rule == (Literal(number, "to", -4),)
 
 
 def test_a_setting_kept_in_a_signed_byte_is_named_as_that(protocol: Protocol) -> None:
