@@ -46,16 +46,6 @@ UNUSED = {
 }
 
 
-def said(result: Done) -> str:
-    """The one sentence on standard error; fails where there is more, or a traceback."""
-    assert result.returncode == 2, result
-    assert result.stdout == b""
-    lines = result.stderr.decode().splitlines()
-    assert len(lines) == 1, result.stderr
-    assert lines[0].startswith("bilprov: ")
-    return lines[0]
-
-
 def loaded(*arguments: str) -> set[str]:
     """The modules that a command has imported when it ends, and the packages that they are of."""
     code = (
@@ -198,13 +188,6 @@ def test_an_example_of_a_help_page_is_a_line_that_the_command_takes(name: str, l
     assert program == "bilprov"
     assert len(line) <= 76
     assert parsed(rest)[0] == (name.split() or parsed(rest))[0]
-
-
-def test_a_former_name_and_help_are_no_files(tmp_path: Path) -> None:
-    for name in ("info", "help"):
-        (tmp_path / name).touch()
-    assert "is now bilprov capture info" in said(command("info", cwd=tmp_path))
-    assert command("help", cwd=tmp_path).returncode == 0
 
 
 def test_the_library_hands_on_exactly_what_it_lists() -> None:
