@@ -168,22 +168,10 @@ def with_texts(grammar_text: str, piece: str, places: dict[str, str]) -> str:
     )
 
 
-TIMES = """\
-TIMING = Timing(
-    truncation_timeout=50,
-    truncation_shortest=5,
-    truncation_longest=1000,
-    answer_deadline=100,
-    answer_longest=1000,
-    stop_longest=100,
-)
-LINE = LineDefaults(baud=9600, parity="N", stopbits=1)
-CLAUSES = Clauses(header="1", instructions="2", responses="3", safety="4")
-"""
-"""What ends a grammar that says nothing of its line and its times."""
-
 RELAY = (ROOT / "tests" / "support" / "switch_grammar.py").read_text(encoding="utf-8")
 """A grammar of its own, framed as the car's is: a frame of the car means something else."""
+TIMES = RELAY[RELAY.index("TIMING = ") :]
+"""What ends a grammar that says nothing of its line and its times."""
 
 CAMERA = (
     '''\
