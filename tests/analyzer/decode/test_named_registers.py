@@ -9,33 +9,17 @@ import pytest
 
 from bilprov.analyzer.decode.batch import Records
 from bilprov.analyzer.decode.columns import ColumnBatch
-from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.spec.codec import build, judge
 from bilprov.spec.protocol import GrammarError, Protocol
-from bilprov.spec.safe_grammar import require_declarations
 from tests.support import ROOT
-from tests.support.decoding import conversation, decoded, devices
+from tests.support.decoding import conversation
 
 pytestmark = pytest.mark.usefixtures("columns_at_once")
 
 FEETECH = ROOT / "examples" / "feetech.py"
 SERVO = load_protocol(str(FEETECH))
-METER = """
-from construct import Byte, Int16ub, Int32sb
-from bilprov.spec.grammars.modbus_rtu import (
-    CLAUSES, ERROR, FRAME, INSTRUCTIONS, LINE, MEMORY, REPLY, RESPONSE, SILENT, TIMING,
-)
-NAME = "meter"
-VERSION = "1"
-DOCUMENT = "a meter"
-REGISTERS = {
-    "holding": {107: "voltage" / Int16ub * "0.1 V", 108: "power" / Int32sb * "W"},
-    "input": {107: "current" / Int16ub},
-}
-"""
 # A request, its answer, and the registers in each; those of the document of the servos.
 POSITION = "FFFF 01 04 02 38 02 BE", "FFFF 01 04 00 18 05 DD"
 MOVE = "FFFF 01 09 03 2A 00 08 00 00 E8 03 D5"
@@ -97,32 +81,6 @@ def test_filters_find_registers(
         for text, rows in filters.items():
             chosen = compile_filter(text, SERVO).selection(found)
             assert found.in_order(chosen).tolist() == rows, text
-
-
-def test_registers_of_words_have_a_place_in_words(grammar: Callable[[str], Protocol]) -> None:
-    meter = grammar(METER)
-    require_declarations(meter.source)
-    asked, told = "1103006b0003 7687", "110306 08FC FFFFFFFE"
-    answer = frame(told) + meter.layout.check.function(frame(told)).to_bytes(2, "little")  # type: ignore[union-attr]
-    (one,) = devices(decoded(Session(meter), conversation([(frame(asked), answer)])))
-    assert one.reply is not None
-    assert dict(one.reply.values) == {
-        "values": (0x8FC, 0xFFFF, 0xFFFE),
-        "voltage": 2300,
-        "power": -2,
-    }
-    told = "110402 08FC"
-    answer = frame(told) + meter.layout.check.function(frame(told)).to_bytes(2, "little")  # type: ignore[union-attr]
-    request = build(meter, "ReadInputRegisters", {"address": 17, "start": "current"})
-    (one,) = devices(decoded(Session(meter), conversation([(request, answer)])))
-    assert one.value.fields == {"values": [0x8FC], "current": 0x8FC}
-    write = build(meter, "WriteMultipleRegisters", {"address": 17, "voltage": 1, "power": -2})
-    assert dict(judge(meter, write).values)["power"] == -2
-    assert dict(judge(meter, write).fields)["quantity"] == 3
-    single = build(meter, "WriteSingleRegister", {"address": 17, "voltage": 2300})
-    assert judge(meter, single).describe().endswith("register=107 value=2300 voltage=2300")
-    with pytest.raises(ValueError, match="power takes 2 cells of holding, and WriteSingleRegister"):
-        build(meter, "WriteSingleRegister", {"address": 17, "power": 5})
 
 
 def test_an_imported_declaration_may_be_replaced_unless_others_need_it(

@@ -89,18 +89,9 @@ def test_a_recording_without_a_start_has_no_time_of_day(
     assert passing(test, talk) == []
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("x" * 1001, "the filter has 1001 characters, allowed are 1000"),
-        ("a\0b", "cannot be part of a filter"),
-    ],
-)
-def test_what_no_command_line_may_hold_is_said_in_one_sentence_too(
-    protocol: Protocol, text: str, words: str
-) -> None:
-    with pytest.raises(FilterError, match=words) as caught:
-        compile_filter(text, protocol)
+def test_what_no_command_line_may_hold_is_said_in_one_sentence_too(protocol: Protocol) -> None:
+    with pytest.raises(FilterError, match="cannot be part of a filter") as caught:
+        compile_filter("a\0b", protocol)
     assert str(caught.value).isprintable()
 
 

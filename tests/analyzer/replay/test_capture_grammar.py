@@ -115,15 +115,6 @@ def test_a_text_of_any_lines_comes_back_as_it_was(tmp_path: Path, relay: Protoco
 # -- the grammar that is given, or the kit's own ------------------------------------------------
 
 
-def test_a_copy_by_a_grammar_that_is_typed_carries_that(file: Path, horn: Protocol) -> None:
-    file.with_name("horn.py").write_text(horn.source, encoding="utf-8")
-
-    made = given(COPIES["repair"], file, "--grammar", "horn.py")
-
-    assert made.returncode == 0
-    assert open_capture(file.with_name("new.mcap")).grammar_text == horn.source
-
-
 # -- what is not in the file, or cannot be used ---------------------------------------------------
 
 

@@ -16,12 +16,12 @@ from bilprov.analyzer.decode.records import Record
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.output.outputs import Output, Shown
 from bilprov.analyzer.pipeline import Pipeline
-from bilprov.analyzer.replay.capture_decoding import opened_at, said_about
+from bilprov.analyzer.replay.capture_decoding import opened_at
 from bilprov.analyzer.replay.recorder import Recorder, Rotation, rotation_at, session_metadata
 from bilprov.captures import topics
 from bilprov.captures.parts import part_paths
-from bilprov.captures.reader import Capture, open_capture, open_indexed, open_quickly
-from bilprov.captures.schemas import MS, Chunk, Line, Resumption
+from bilprov.captures.reader import Capture, open_capture, open_quickly
+from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.spec.protocol import Protocol
 from tests.support.attaching import Talk, attached
 from tests.support.captures import about
@@ -166,29 +166,6 @@ def test_each_part_begins_with_a_checkpoint_and_the_state(
             assert opened.after
             assert opened.after.value.t <= first.t + MS
     assert seen == len(parts) - 1
-
-
-def test_what_the_oldest_parts_held_may_be_gone_and_is_said(
-    protocol: Protocol, tmp_path: Path
-) -> None:
-    path = tmp_path / "a.mcap"
-    settings = {"timeout": None, "skew": 0, "heard": frozenset({"host"}), "attached": False}
-    events: list[Event] = [Chunk(n * 500 * MS, "host", b"\x11" + bytes([n])) for n in range(20)]
-    recorded(protocol, path, events, settings, Rotation(age=SECOND, keep=3))
-    parts = part_paths(path)
-    assert len(parts) == 3
-    assert min(parts) > 3
-    capture = open_capture(path)
-    resumed, *rest = capture
-    assert isinstance(resumed, Resumption)
-    assert rest == events[len(events) - len(rest) :]
-    (said,) = said_about(capture, protocol)
-    first = parts[min(parts)].name
-    assert (
-        said == f"{path} begins at {resumed.t / 1e9:.3f} s with {first}: older parts are not there"
-    )
-    assert list(said_about(open_capture(parts[min(parts)]), protocol)) == []
-    assert open_indexed(path)
 
 
 @pytest.mark.waits
