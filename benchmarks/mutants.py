@@ -39,7 +39,6 @@ ROOMS = {  # the code, and the tests that are its own
         [
             *("tests/spec", "tests/analyzer/decode/test_framed.py"),
             "tests/analyzer/decode/test_stream.py",
-            "tests/analyzer/decode/test_named_registers.py",  # as requests and answers have them
             "tests/analyzer/simulated/test_device.py",  # devices that answer by a grammar
             "tests/test_transcripts.py",
         ],

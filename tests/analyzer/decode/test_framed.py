@@ -14,6 +14,7 @@ from bilprov.analyzer.decode.columns import ColumnBatch
 from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import FaultRecord
 from bilprov.analyzer.decode.session import SKEW, Session
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.captures.schemas import Chunk, Direction
@@ -24,7 +25,7 @@ from tests.analyzer.decode.test_foreign_traffic import TRAFFIC, events
 from tests.analyzer.decode.test_foreign_traffic import events as recorded
 from tests.analyzer.decode.test_stream import same
 from tests.support import ROOT
-from tests.support.decoding import MS, Event, decoded, devices, hosts
+from tests.support.decoding import MS, Event, conversation, decoded, devices, hosts
 from tests.support.drawn_layouts import drawn_layout
 from tests.support.framed_traffic import READS_UNCHECKED, WITH_SYNC, Traffic, exchanges
 from tests.support.grammars import SWITCHES, checked_digits
@@ -253,3 +254,58 @@ def test_recorded_faults_are_of_every_kind() -> None:
     assert judged == {"valid", "unknown-id", "bad-data", "bad-checksum", "truncated"}
     assert answered == {"valid", "unknown-id", "bad-data"}
     assert {one.kind for one in asked} == {"instruction", "truncated"}
+
+
+# -- registers with names ---------------------------------------------------------------------------
+
+FEETECH = ROOT / "examples" / "feetech.py"
+SERVO = load_protocol(str(FEETECH))
+# A request, its answer, and the registers in each; those of the document of the servos.
+POSITION = "FFFF 01 04 02 38 02 BE", "FFFF 01 04 00 18 05 DD"
+MOVE = "FFFF 01 09 03 2A 00 08 00 00 E8 03 D5"
+SEVERAL = "FFFF FE 0A 83 2A 02 01 00 02 02 03 02 3E"
+
+
+def frame(text: str) -> bytes:
+    return bytes.fromhex(text)
+
+
+MOVED = frame(MOVE), frame("FFFF 01 02 00 FC")
+# Exchanges, and which rows filters of registers choose.
+FILTERS = [
+    (
+        [MOVED, (frame(POSITION[0]), frame(POSITION[1]))],
+        {
+            "goal_position == 2048": [True, False, False, False],
+            "goal_velocity != 1000": [False] * 4,
+            "1300 < present_position": [False, False, False, True],
+            "fields.torque == on": [False] * 4,
+        },
+    ),
+    (
+        [(frame(SEVERAL), b""), MOVED],  # a register of several servos
+        {
+            "goal_position == 512": [True, False, False],
+            "goal_position == 515": [True, False, False],
+            "goal_position > 500": [True, True, False],
+            "not goal_position == 512": [False, True, True],
+            "goal_position < goal_velocity": [False] * 3,
+            "goal_velocity < goal_position and size == 2": [False] * 3,
+            "goal_time < goal_position": [False, True, False],
+            "goal_position & 3 == 3": [True, False, False],
+        },
+    ),
+]
+
+
+@pytest.mark.parametrize(("exchanges", "filters"), FILTERS)
+def test_filters_find_registers(
+    exchanges: list[tuple[bytes, bytes]], filters: dict[str, list[bool]]
+) -> None:
+    (batch,) = StreamDecoder(SERVO).feed(conversation(exchanges))
+    assert isinstance(batch, ColumnBatch)
+
+    for found in (batch, Records(list(batch.records()))):
+        for text, rows in filters.items():
+            chosen = compile_filter(text, SERVO).selection(found)
+            assert found.in_order(chosen).tolist() == rows, text
