@@ -256,7 +256,7 @@ def test_recorded_faults_are_of_every_kind() -> None:
     assert {one.kind for one in asked} == {"instruction", "truncated"}
 
 
-# -- registers with names ---------------------------------------------------------------------------
+# -- registers with names --------------------------------------------------------------------------
 
 FEETECH = ROOT / "examples" / "feetech.py"
 SERVO = load_protocol(str(FEETECH))
