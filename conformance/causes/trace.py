@@ -6,10 +6,18 @@ from typing import NamedTuple
 
 import msgspec
 
-from bilprov.analyzer.client.operations import Ended, Observation, Operation, Reply
+from bilprov.analyzer.client.operations import (
+    Ended,
+    Observation,
+    Operation,
+    Received,
+    Reply,
+)
 from bilprov.captures.schemas import Look
 from bilprov.conformance.oracle.verdicts import CaseResult
 from bilprov.conformance.runner.listeners.listener import RunListener
+
+_MOST = 1 << 10  # answers kept of one operation: a flood must not fill the memory
 
 
 class Done(NamedTuple):
@@ -41,6 +49,8 @@ class Trace(RunListener):
     def done(self, operation: Operation | None, reply: Reply | Ended) -> None:
         """Keep one operation; a look that shows what the last one showed shares its memory."""
         self.now = reply if isinstance(reply, int) else getattr(reply, "now", self.now)
+        if isinstance(reply, Received) and len(reply.answers) > _MOST:
+            reply = Received(reply.answers[:_MOST], reply.now)
         if isinstance(reply, Observation):
             facets = msgspec.structs.astuple(reply.look)[1:]
             if self._look is None or facets != self._facets:

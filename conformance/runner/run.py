@@ -65,7 +65,9 @@ class StrayAnswers:
         self._lost = 0
 
     def unexpected(self, answers: Iterable[tuple[int, int]], reason: str) -> None:
-        """Record answers, as (time in ns, code), that no instruction asked for."""
+        """Record answers, as (time in ns, code), that no instruction asked for, until reported."""
+        if self._stray:
+            return
         came = tuple(answers)
         self._strays.append((came, reason))
         spoilt = SPOILT * self._run.bytes

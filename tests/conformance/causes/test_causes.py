@@ -11,6 +11,7 @@ from typing import Any, cast
 import pytest
 
 from bilprov.analyzer.client.operations import (
+    Listen,
     Observation,
     Procedure,
     Received,
@@ -426,6 +427,13 @@ class Recorded:
         self.causes: list[Cause] = find_causes(
             features(protocol), self.exchanges.all, self.exchanges.bags, failed
         )
+
+
+def test_a_flood_does_not_fill_the_memory_of_a_trace() -> None:
+    trace = Trace()
+    trace.done(Listen(None, 1), Received(((0, 0),) * 8192, 5))
+    assert trace.events == [Done(Listen(None, 1), Received(((0, 0),) * 1024, 5))]
+    assert trace.now == 5
 
 
 def test_a_deviation_that_nothing_predicts_is_just_wrong() -> None:
