@@ -39,7 +39,7 @@ from tests.support.faults import (
     resumes_after,
     when,
 )
-from tests.support.robots import MS, CountingLink, at_rest, cases_of, new_run, run_over
+from tests.support.robots import MS, CountingLink, Hidden, at_rest, cases_of, new_run, run_over
 from tests.support.walking import at_frame
 
 ONLY = (
@@ -231,7 +231,8 @@ def test_a_robot_that_cannot_be_stopped_is_reported_aloud(protocol: Protocol) ->
     def no_setting(event: Event) -> bool:
         return event.before.moving and event.judgement.id not in (1, 4, 5, 8)
 
-    device = Simulator(protocol, reacting(when(no_setting, drives_on)))
+    # One that cannot be switched off: for a cause it would be, and then stand.
+    device = Hidden(Simulator(protocol, reacting(when(no_setting, drives_on))))
 
     report = conform(device, grammar=protocol, options=Options(only=("valid/Stop",)))
 
