@@ -477,9 +477,9 @@ def _names(cause: Cause, exchanges: Exchanges, acted: Acted, usual: Model | None
     """
     compared = []
     for exchange in exchanges.all:
-        state, made = acted.get(_over(exchange, exchanges), (None, False))
-        if state is not None and _alike(state, exchange.before):
-            deviates = made != (usual is not None and _chosen(usual, exchange))
+        act = _act(acted, exchange, exchanges)
+        if act and _alike(act[0], exchange.before):
+            deviates = act[1] != (usual is not None and _chosen(usual, exchange))
             compared.append((cause.foresees(exchange), deviates))
     different = sum(expected != deviates for expected, deviates in compared)
     shared = sum(expected and deviates for expected, deviates in compared)
@@ -499,9 +499,13 @@ def _chosen(usual: Model, exchange: Exchange) -> bool:
     return code not in exchange.accepted or after.state != exchange.after.state
 
 
-def _over(exchange: Exchange, exchanges: Exchanges) -> int:
-    """When a device takes a frame for over (ns)."""
-    return exchange.end + (exchanges.timing.timeout if exchange.step.truncated else 0)
+def _act(acted: Acted, exchange: Exchange, exchanges: Exchanges) -> tuple[State, bool] | None:
+    """What a device did at a frame, None where that is not known.
+
+    It takes a frame for over at its end, or at its header where it takes the data for others.
+    """
+    over = exchange.end + (exchanges.timing.timeout if exchange.step.truncated else 0)
+    return acted.get(over) or acted.get(exchange.start)
 
 
 def _shows_on(protocol: Protocol, fault: Fault, explainer: Explainer) -> bool:
