@@ -93,7 +93,8 @@ class Cause:
         made: dict[str, Value] = {}
         if matches(self.rule, exchange):
             for relation in (effect.relation for effect in self.effects):
-                value = relation.predict(exchange) if relation.predict else None
+                predict = relation.predict if relation.how == "wrong" else None  # else for a while
+                value = predict(exchange) if predict else None
                 made[relation.facet] = value if made.get(relation.facet, value) == value else None
         made.pop(ANSWER, None)
         return made
@@ -376,7 +377,8 @@ def _causes(table: Table, effect: Effect, others: Iterable[Effect]) -> list[Caus
 
     The same rule may explain it as one of `others`.
     """
-    for likely in (effect.at_setters(), effect, *others):
+    setters = effect.at_setters()
+    for likely in (setters, effect, *others, setters.where_seen()):
         rule = _one_rule(table, [likely])
         if rule is not None:
             return [Cause(rule, [likely])]

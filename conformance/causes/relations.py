@@ -33,8 +33,7 @@ class Relation:
     """What goes wrong in one facet, in words, and the value that it predicts for an exchange.
 
     `how` is that of the deviations. Where `predict` is None the value can be any. `seen` is the
-    value where it is always the same. `of_before` is whether it is what was so before the frame:
-    a right frame says nothing about it where that was not seen.
+    value where it is always the same.
     """
 
     facet: str
@@ -42,7 +41,6 @@ class Relation:
     words: str
     predict: Predict | None = None
     seen: Value = None
-    of_before: bool = False
 
     def explains(self, bag: Bag) -> bool:
         """Return whether a bag's deviation is of this kind."""
@@ -59,8 +57,6 @@ class Relation:
         """
         facet = WHEELS if self.seen == ASTRAY else self.facet
         if facet not in exchange.right or exchange.watched < watched:
-            return False
-        if self.of_before and facet in exchange.assumed:
             return False
         return self.differs(exchange)
 
@@ -105,6 +101,14 @@ class Effect:
         It is the likeliest explanation of a wrong setting.
         """
         return replace(self, only_setters=True)
+
+    def where_seen(self) -> Effect:
+        """The effect without right exchanges before which nobody had looked at the facet.
+
+        What it was there, a fault may have changed.
+        """
+        seen = [e for e in self.against if self.relation.facet not in e.assumed]
+        return replace(self, against=seen)
 
     @property
     def takes_data(self) -> bool:
@@ -209,26 +213,33 @@ def _of_values(facet: str, how: str, bags: Sequence[Bag]) -> list[Relation]:
     def before(exchange: Exchange) -> Value:
         return value_of(facet, exchange.before)
 
-    found = [Relation(facet, how, "stays as it was", before, of_before=True)]
+    found = [Relation(facet, how, "stays as it was", before)]
     seen = Counter(bag.deviation.seen for bag in bags).most_common(3)
     if facet == MOTION:
         found += [Relation(facet, how, f"is {v}", _moving_as(v), v) for v, _ in seen]
-        return [*found, *_instead(facet, how, bags), resuming(facet, how)]
+        back = (resuming(facet, how), resuming(facet, how, later=True))
+        return [*found, *_instead(facet, how, bags), *back]
     found += [Relation(facet, how, f"is {value}", lambda e, v=value: v) for value, _ in seen]  # type: ignore[misc]
     return found + [
         Relation(facet, how, words, _changed(facet, change)) for words, change in _changes(bags)
     ]
 
 
-def resuming(facet: str, how: str) -> Relation:
-    """The relation of a value that comes back from before the faults right before a frame."""
+def resuming(facet: str, how: str, *, later: bool = False) -> Relation:
+    """The relation of a value that comes back from before the faults right before a frame.
+
+    With `later` it comes back from before the last faults, if no frame since then has set it.
+    """
 
     def earlier(exchange: Exchange) -> Value:
-        while exchange.previous and exchange.previous.step.faulty:
-            exchange = exchange.previous
+        before = exchange.previous
+        while later and before and not before.step.faulty and not before.sets(facet):
+            exchange, before = before, before.previous
+        while before and before.step.faulty:
+            exchange, before = before, before.previous
         return value_of(facet, exchange.before)
 
-    return Relation(facet, how, RESUMES, earlier, of_before=True)
+    return Relation(facet, how, RESUMES, earlier)
 
 
 def _changed(facet: str, change: Callable[[int], int]) -> Predict:

@@ -39,14 +39,14 @@ from bilprov.conformance.causes.exchanges import (
 )
 from bilprov.conformance.causes.features import Feature, Literal, features, matches
 from bilprov.conformance.causes.learner import Learner, Table
-from bilprov.conformance.causes.relations import Relation, relations
+from bilprov.conformance.causes.relations import Effect, Relation, relations, resuming
 from bilprov.conformance.causes.reproduction import Finder, shown_by, shown_in
 from bilprov.conformance.causes.trace import Done, Mark, Trace
 from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator
 from bilprov.conformance.dut.target import VirtualLink
 from bilprov.conformance.mutation.catalogue import find_fault
 from bilprov.conformance.mutation.faults import fault_bank
-from bilprov.conformance.mutation.score import both, explained
+from bilprov.conformance.mutation.score import _names, both, explained
 from bilprov.conformance.oracle.profile import Choices
 from bilprov.conformance.oracle.state_model import Model
 from bilprov.conformance.report.run_report import Report
@@ -341,14 +341,15 @@ def test_nor_does_one_that_was_sent_later_if_nobody_looked(protocol: Protocol) -
     assert [exchange.kind for exchange in bag.exchanges] == ["Stop", "Stop"]
 
 
-def test_a_right_frame_says_what_a_device_keeps_only_where_that_was_seen(
-    protocol: Protocol,
-) -> None:
+def test_what_was_set_since_the_last_look_is_assumed(protocol: Protocol) -> None:
     look = look_class(protocol.state_type)
     first = [*sent(10, "81 03"), Done(None, Observation(20 * MS, 20 * MS, look(20 * MS, led=3)))]
     events = [*first, *sent(30, "81 04"), *sent(40, "81 05")]
     events.append(Done(None, Observation(60 * MS, 60 * MS, look(60 * MS, led=5))))
-    assert [one.assumed for one in exchanges_of(protocol, events).all] == [set(), set(), {"led"}]
+    found = exchanges_of(protocol, events).all
+    assert [one.assumed for one in found] == [set(), set(), {"led"}]
+    effect = Effect(Relation("led", "wrong", "is 7"), [], found)
+    assert effect.where_seen().against == found[:2]
 
 
 def test_a_rule_is_found_where_the_frame_that_it_is_about_came_behind_others(
@@ -505,6 +506,37 @@ def test_what_a_device_is_known_to_make_of_a_frame_holds_for_the_next(protocol: 
     before = [e.all[-1].before for e in (rebuilt(), rebuilt(ignored), rebuilt(unknown))]
     assert [one.state.motion for one in before[:2]] == ["forward", "backward"]
     assert ["motion" in one.unknown for one in before] == [False, False, True]
+
+
+def test_what_is_so_only_for_a_while_is_not_known_of_the_next_frame(protocol: Protocol) -> None:
+    [exchange] = exchanges_of(protocol, sent(10, "20")).all
+    made = []
+    for how in ("wrong", "changed", "late"):
+        relation = Relation(MOTION, how, "is backward", lambda e: "backward")
+        made.append(Cause((), [Effect(relation, [], [])]).made(exchange))
+    assert made == [{MOTION: "backward"}, {MOTION: None}, {MOTION: None}]
+
+
+@pytest.mark.parametrize(
+    ("behind", "back"),
+    [(["8103"], "forward"), (["1180", "8103"], "forward"), (["00", "8103"], "stopped"),
+     (["30", "8103"], "backward")],
+)  # fmt: skip
+def test_what_comes_back_was_there_before_the_last_fault(
+    protocol: Protocol, behind: list[str], back: str
+) -> None:
+    codes = {"81ff": 2}
+    frames = enumerate(["11ff", "20", "81ff", *behind])
+    events = [event for n, frame in frames for event in sent(10 * n, frame, codes.get(frame, 0))]
+    relation = resuming(MOTION, "wrong", later=True)
+    assert relation.predict is not None
+    assert relation.predict(exchanges_of(protocol, events).all[-1]) == back
+
+
+def test_a_fault_that_acts_at_headers_is_compared_there(protocol: Protocol) -> None:
+    found = exchanges_of(protocol, sent(10, "2100", 3))
+    cause = Cause((), [Effect(Relation(ANSWER, "other", ""), [], [])])
+    assert _names(cause, found, {found.all[0].start: (protocol.power_on, True)}, None)
 
 
 def test_that_it_answers_no_more_is_a_cause_beside_others(protocol: Protocol) -> None:
