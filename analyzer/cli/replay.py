@@ -80,7 +80,7 @@ def replay(options: ReplayOptions) -> int:
     With --judge the recorded device is judged: a table at the end (with --format jsonl a last
     object of kind judgement) shows which parts of the document the traffic covered and what
     contradicts it; exit code 1 if anything does, 2 if not all of it could be shown, 3 if nothing
-    does and Ctrl-C ended it.
+    does, but Ctrl-C ended it or no instruction could be judged.
     """
     if options.shown.judged and options.port is not None:
         raise click.UsageError("--judge judges the recorded device; for one at --to, use sniff")

@@ -118,7 +118,7 @@ def sniff(options: SniffOptions) -> int:
 
     With --judge a table at the end (with --format jsonl a last object of kind judgement) shows
     which parts of the document the traffic covered and what contradicts it; exit code 1 if anything
-    does.
+    does, 3 if no instruction could be judged.
     """
     path, quiet, wait = options.path, options.quiet, options.wait
     style = options.shown.style()

@@ -170,8 +170,9 @@ class Findings(msgspec.Struct):
 
     @property
     def exit(self) -> int:
-        """1 if there was a violation, else 3 where not all was judged that was to be, else 0."""
-        return 1 if self.violations else 3 if self.stopped else 0
+        """1 if there was a violation, else 3 where not all or nothing could be judged, else 0."""
+        unjudged = self.instructions > 0 and not self.judged
+        return 1 if self.violations else 3 if self.stopped or unjudged else 0
 
 
 class PassiveJudge:

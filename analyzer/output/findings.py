@@ -1,7 +1,8 @@
 """Shows the findings of the passive judge: a table on standard error, or one JSON object.
 
 The object is the last line of `--format jsonl` and has `kind` "judgement". Its other keys:
-`exit` (1 if there was a violation, else 3 where a recording was not judged to its end, else 0),
+`exit` (1 if there was a violation, else 3 where a recording was not judged to its end or no
+instruction could be judged, else 0),
 `instructions`, `judged` (those whose answer was judged),
 `looks`, `unread` (for how many ns nothing was read),
 `not_judged` (how many for which reason), `coverage` (each `clause`, `what`, `done` out of
