@@ -300,7 +300,7 @@ def _effect(protocol: Protocol, effect: Effect) -> str:
         expected = {bag.deviation.expected for bag in effect.bags}
         if relation.how == "late":
             return _LATE_STOP if expected == {effect.bags[0].still} else "moves late"
-        if effect.keeps_moving and relation.words == RESUMES and effect.after_faults:
+        if effect.keeps_moving and relation.words == RESUMES and effect.comes_back:
             return "moves again as before the fault"
         if effect.keeps_moving:
             return "moves again by itself" if late else _NO_STOP

@@ -116,10 +116,10 @@ class Effect:
         return self.relation.words == READS_DATA
 
     @property
-    def after_faults(self) -> bool:
-        """Whether it shows only where the frame before is faulty, too."""
-        before = (bag.exchanges[-1].previous for bag in self.bags)
-        return all(exchange is not None and exchange.step.faulty for exchange in before)
+    def comes_back(self) -> bool:
+        """Whether it shows at no fault but right behind another: the first one stops the device."""
+        shown = (bag.exchanges[-1] for bag in self.bags)
+        return all(not e.step.faulty or (e.previous and e.previous.step.faulty) for e in shown)
 
     @property
     def keeps_moving(self) -> bool:
