@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterable, Sequence, Set
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence, Set
 from dataclasses import dataclass, field, replace
 from functools import cache
 
@@ -37,6 +37,8 @@ _TAKEN = 2
 """Causes that are taken as known in turn, at most."""
 _THIN = 5
 """What the condition of a cause may cost for each of its cases."""
+_SIMPLE = 4
+"""What a condition costs that names a frame and a value."""
 _BACK = 64
 """Frames up to a deviation at which that other cause is looked for."""
 TIERS = (1, 2, 4, 6)
@@ -217,7 +219,17 @@ def find_causes(
         if not any(_joined(table, cause, effect) for cause in simplest):
             causes += _causes(table, effect, _resumed(effect, clean))
     last = max((e.start for e in exchanges if e.codes), default=0)
-    return _without_leftovers(causes, last)
+    return _without_leftovers([*causes, *_behind(table, causes)], last)
+
+
+def _behind(table: Table, causes: Iterable[Cause]) -> Iterator[Cause]:
+    """Causes of what the rules of these leave of their effects, if they are as simple."""
+    for cause in causes:
+        for effect in cause.effects:
+            _, left = _parted(cause.rule, effect)
+            others = _causes(table, replace(effect, bags=left), ()) if left else []
+            most = max(_SIMPLE, _cost(cause.rule))
+            yield from (other for other in others if _cost(other.rule) <= most)
 
 
 def _without_leftovers(causes: Sequence[Cause], last: int) -> list[Cause]:

@@ -259,6 +259,17 @@ def test_causes_know_the_last_data_byte_and_a_motion_that_speed_0_hides(
     assert cause.when.startswith(when)
 
 
+@pytest.mark.slow
+def test_a_few_deviations_beside_many_of_the_same_kind_have_a_cause_of_their_own(
+    protocol: Protocol,
+) -> None:
+    many, few = (find_fault(protocol, n) for n in ("stop-keeps-one-wheel", "right-128-ignored"))
+    options = Options(level="standard", only=("sequence/data/Right*", "bad-data/*"))
+    report = conform(Simulator(protocol, both(many, few)), grammar=protocol, options=options)
+    whens = [cause.when for cause in report.causes]
+    assert (whens, report.unexplained) == (["a faulty frame", "Right, with strength 128"], 0)
+
+
 def test_a_range_ends_where_what_is_certain_ends() -> None:
     """Other numbers are many, so that no evenly spaced threshold stands there."""
     number = Feature("number", lambda one: cast("Any", one).value, "{}")
