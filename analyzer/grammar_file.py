@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from contextlib import suppress
 from functools import cache
 from os import PathLike
 from pathlib import Path
@@ -46,13 +47,23 @@ def given_protocol(grammar: Grammar | None) -> Protocol:
     return load_protocol(None if grammar is None else str(grammar))
 
 
-@cache
 def load_protocol(grammar: str | None = None) -> Protocol:
     """Load the protocol of a grammar: a name in SHIPPED or a file, OWN where it is None.
 
-    Raises GrammarError, in one sentence, for a file that cannot be read or is no grammar.
+    A file is read once. Raises GrammarError, in one sentence, for one that cannot be read or is no
+    grammar.
     """
     name = grammar or OWN
+    folder = ""
+    if name not in SHIPPED:
+        with suppress(OSError):  # that of a folder that was removed: no file is there
+            folder = str(Path.cwd())
+    return _loaded(name, folder)
+
+
+@cache
+def _loaded(name: str, folder: str) -> Protocol:
+    """The protocol of a grammar whose name is meant in a folder; see `load_protocol`."""
     file = Path(bilprov.spec.__path__[0]) / SHIPPED[name] if name in SHIPPED else Path(name)
     try:
         source = read_text(file, _MOST, pipes=True)

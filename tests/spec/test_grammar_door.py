@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import json
 import re
+from pathlib import Path
 
 import pytest
 
+from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.spec.protocol import load
 from bilprov.spec.safe_grammar import LONGEST, NotDeclared, require_declarations
 from tests.support.commands import process
@@ -164,3 +166,14 @@ def test_names_of_a_grammars_own_are_let_alone() -> None:
             {"TIMING =": "LINES = 3\nSTATES = Whole(0, LINES)\nX = STATES\nTIMING ="},
         )
     )
+
+
+def test_a_name_means_the_file_of_the_folder_that_one_is_in(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, grammar_text: str
+) -> None:
+    for version in ("1.1", "1.2"):
+        folder = tmp_path / version
+        folder.mkdir()
+        (folder / "mine.py").write_text(grammar_text.replace('"1.1"', f'"{version}"'))
+        monkeypatch.chdir(folder)
+        assert load_protocol("mine.py").version == version

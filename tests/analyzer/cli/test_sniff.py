@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -309,18 +311,20 @@ def test_a_good_device_is_good_though_the_sniffer_was_stopped(
     frames = [b"\x20", b"\x81\x09", b"\x00", b"\xf0", b"\x11\x01"] * 40
     with sniffing(path, "--judge") as one:
         time.sleep(0.1)  # silence, after which a byte begins a frame
-        process, shown = one.command.process, 0
+        process, kinds = one.command.process, Counter[str]()
         for number, frame in enumerate(frames):
             write(one.host, frame)
             if number == 50:  # between the frame and its answer
-                while shown <= number:
-                    shown += b'"instruction"' in one.lines()
+                while kinds["instruction"] <= number:
+                    kinds[json.loads(one.lines())["kind"]] += 1
                 process.send_signal(signal.SIGSTOP)
                 os.waitid(os.P_PID, process.pid, os.WSTOPPED | os.WNOWAIT)
             write(one.device, bytes([judge(protocol, frame).response.code]))
             time.sleep(STOPPED if number == 50 else 0.005)
             if number == 60:
                 process.send_signal(signal.SIGCONT)
+        while kinds["response"] < len(frames):
+            kinds[json.loads(one.lines())["kind"]] += 1
         code, out, err = one.command.end()
 
     findings = json_lines(out)[-1]
