@@ -6,13 +6,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from bilprov.analyzer.client.operations import (
-    Ended,
-    Observation,
-    Operation,
-    Received,
-    Reply,
-)
+from bilprov.analyzer.client.operations import Ended, Observation, Operation, Received, Reply
 from bilprov.captures.schemas import Look
 from bilprov.conformance.oracle.verdicts import CaseResult
 from bilprov.conformance.runner.listeners.listener import RunListener

@@ -14,14 +14,7 @@ from math import sqrt
 
 import msgspec
 
-from bilprov.analyzer.client.operations import (
-    Ended,
-    Operation,
-    Received,
-    Reconnected,
-    Reply,
-    Send,
-)
+from bilprov.analyzer.client.operations import Ended, Operation, Received, Reconnected, Reply, Send
 from bilprov.captures.schemas import Look
 from bilprov.conformance.cases.adaptation import on_the_wire
 from bilprov.conformance.cases.case import Case, case_of_the_run

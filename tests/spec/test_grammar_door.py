@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.spec.protocol import load
+from bilprov.spec.protocol import Protocol, load
 from bilprov.spec.safe_grammar import LONGEST, NotDeclared, require_declarations
 from tests.support.commands import process
 from tests.support.framed_traffic import FRAMED
@@ -169,11 +169,12 @@ def test_names_of_a_grammars_own_are_let_alone() -> None:
 
 
 def test_a_name_means_the_file_of_the_folder_that_one_is_in(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, grammar_text: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, protocol: Protocol
 ) -> None:
-    for version in ("1.1", "1.2"):
+    for version in ("one", "other"):
         folder = tmp_path / version
         folder.mkdir()
-        (folder / "mine.py").write_text(grammar_text.replace('"1.1"', f'"{version}"'))
+        text = protocol.source.replace(f'"{protocol.version}"', f'"{version}"')
+        (folder / "mine.py").write_text(text, encoding="utf-8")
         monkeypatch.chdir(folder)
         assert load_protocol("mine.py").version == version

@@ -112,9 +112,6 @@ def test_a_text_of_any_lines_comes_back_as_it_was(tmp_path: Path, relay: Protoco
     assert set(names(path)) == {"Relays"}
 
 
-# -- the grammar that is given, or the kit's own ------------------------------------------------
-
-
 # -- what is not in the file, or cannot be used ---------------------------------------------------
 
 
